@@ -1,0 +1,1 @@
+//! Body models of caphy: the SMPL-X layout, a mannequin, registration under clothing.

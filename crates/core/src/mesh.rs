@@ -1,0 +1,174 @@
+//! Triangle meshes.
+
+use crate::{Error, Result, Vec3};
+use serde::{Deserialize, Serialize};
+
+/// A triangle mesh: positions [m], shape [vertex_count], and vertex ids, shape [face_count, 3], counter-clockwise seen
+/// from outside.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct TriMesh {
+    /// Vertex positions [m].
+    pub vertices: Vec<Vec3>,
+    /// Vertex ids of each triangle.
+    pub faces: Vec<[u32; 3]>,
+}
+
+impl TriMesh {
+    /// A checked mesh: finite positions, ids in range, no triangle that names a vertex twice.
+    pub fn new(name: &str, vertices: Vec<Vec3>, faces: Vec<[u32; 3]>) -> Result<Self> {
+        let mesh = Self { vertices, faces };
+        mesh.check(name)?;
+        Ok(mesh)
+    }
+    /// What [`TriMesh::new`] checks, for a mesh that came another way.
+    pub fn check(&self, name: &str) -> Result<()> {
+        if let Some(v) = self.vertices.iter().position(|v| !v.iter().all(|c| c.is_finite())) {
+            let p = self.vertices[v];
+            return Err(Error::mesh(
+                name,
+                format!("vertex {v}"),
+                format!("position ({}, {}, {}) is not finite", p.x, p.y, p.z),
+                "repair or drop the vertex in the program that wrote the mesh",
+            ));
+        }
+        let n = self.vertices.len() as u32;
+        for (f, face) in self.faces.iter().enumerate() {
+            if let Some(id) = face.iter().find(|&&id| id >= n) {
+                return Err(Error::mesh(
+                    name,
+                    format!("face {f}"),
+                    format!("vertex id {id} but there are {n} vertices"),
+                    "the file is damaged or cut off: write it again",
+                ));
+            }
+            if face[0] == face[1] || face[1] == face[2] || face[2] == face[0] {
+                return Err(Error::mesh(
+                    name,
+                    format!("face {f}"),
+                    format!("names a vertex twice: {face:?}"),
+                    "remove degenerate faces",
+                ));
+            }
+        }
+        Ok(())
+    }
+    /// Corner positions of a face [m].
+    pub fn corners(&self, face: usize) -> [Vec3; 3] {
+        self.faces[face].map(|id| self.vertices[id as usize])
+    }
+    /// Face areas [m²], shape [face_count].
+    pub fn face_areas(&self) -> Vec<f64> {
+        (0..self.faces.len())
+            .map(|f| {
+                let [a, b, c] = self.corners(f);
+                0.5 * (b - a).cross(&(c - a)).norm()
+            })
+            .collect()
+    }
+    /// Area-weighted unit vertex normals, shape [vertex_count]; zero for a vertex without area.
+    pub fn vertex_normals(&self) -> Vec<Vec3> {
+        vertex_normals(&self.vertices, &self.faces)
+    }
+    /// A third of the area of the faces around each vertex [m²], shape [vertex_count].
+    pub fn vertex_areas(&self) -> Vec<f64> {
+        let mut areas = vec![0.0; self.vertices.len()];
+        for (face, area) in self.faces.iter().zip(self.face_areas()) {
+            for &id in face {
+                areas[id as usize] += area / 3.0;
+            }
+        }
+        areas
+    }
+    /// Mean edge length over all triangle sides [m]; 0 for an empty mesh.
+    pub fn mean_edge_length(&self) -> f64 {
+        if self.faces.is_empty() {
+            return 0.0;
+        }
+        let total: f64 = (0..self.faces.len())
+            .map(|f| {
+                let [a, b, c] = self.corners(f);
+                (b - a).norm() + (c - b).norm() + (a - c).norm()
+            })
+            .sum();
+        total / (3 * self.faces.len()) as f64
+    }
+    /// Smallest and largest coordinate per axis [m], or `None` for a mesh without vertices.
+    pub fn bounds(&self) -> Option<(Vec3, Vec3)> {
+        bounds(&self.vertices)
+    }
+    /// The faces whose three vertices are all kept, with vertices renumbered, and the old id of each new vertex.
+    pub fn submesh(&self, keep: &[bool]) -> (TriMesh, Vec<u32>) {
+        let faces: Vec<_> = self.faces.iter().filter(|f| f.iter().all(|&id| keep[id as usize])).collect();
+        let mut new_id = vec![u32::MAX; self.vertices.len()];
+        for face in &faces {
+            for &id in *face {
+                new_id[id as usize] = 0;
+            }
+        }
+        let mut old = Vec::new();
+        for (id, slot) in new_id.iter_mut().enumerate() {
+            if *slot == 0 {
+                *slot = old.len() as u32;
+                old.push(id as u32);
+            }
+        }
+        let mesh = TriMesh {
+            vertices: old.iter().map(|&id| self.vertices[id as usize]).collect(),
+            faces: faces.iter().map(|f| f.map(|id| new_id[id as usize])).collect(),
+        };
+        (mesh, old)
+    }
+}
+
+/// Area-weighted unit vertex normals, shape [vertex_count]; zero for a vertex without area.
+pub fn vertex_normals(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<Vec3> {
+    let mut normals = vec![Vec3::zeros(); vertices.len()];
+    for face in faces {
+        let [a, b, c] = face.map(|id| vertices[id as usize]);
+        let n = (b - a).cross(&(c - a));
+        for &id in face {
+            normals[id as usize] += n;
+        }
+    }
+    for n in &mut normals {
+        *n = n.try_normalize(0.0).unwrap_or_else(Vec3::zeros);
+    }
+    normals
+}
+
+/// Smallest and largest coordinate per axis [m], or `None` without points.
+pub fn bounds(points: &[Vec3]) -> Option<(Vec3, Vec3)> {
+    let first = *points.first()?;
+    Some(points.iter().fold((first, first), |(lo, hi), p| (lo.inf(p), hi.sup(p))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square() -> TriMesh {
+        let p = |x, y| Vec3::new(x, y, 0.0);
+        TriMesh::new("square", vec![p(0., 0.), p(1., 0.), p(1., 1.), p(0., 1.)], vec![[0, 1, 2], [0, 2, 3]]).unwrap()
+    }
+
+    #[test]
+    fn areas_normals_and_submesh() {
+        let mesh = square();
+        assert_eq!(mesh.face_areas(), [0.5, 0.5]);
+        assert!((mesh.vertex_areas().iter().sum::<f64>() - 1.0).abs() < 1e-15);
+        assert!(mesh.vertex_normals().iter().all(|n| *n == Vec3::z()));
+        let (sub, old) = mesh.submesh(&[true, false, true, true]);
+        assert_eq!((sub.faces, old), (vec![[0, 1, 2]], vec![0, 2, 3]));
+    }
+
+    #[test]
+    fn bad_meshes_are_refused_by_name_and_element() {
+        let mut mesh = square();
+        mesh.faces.push([0, 1, 9]);
+        let text = mesh.check("shirt").unwrap_err().to_string();
+        assert!(text.contains("shirt") && text.contains("face 2") && text.contains('9'), "{text}");
+        let mut mesh = square();
+        mesh.vertices[3].y = f64::NAN;
+        assert!(mesh.check("shirt").unwrap_err().to_string().contains("vertex 3"));
+    }
+}

@@ -1,0 +1,1 @@
+//! File formats of caphy: OBJ, PLY, NPZ, ASF/AMC in; OBJ sequence and GLB out.

@@ -1,0 +1,1 @@
+//! Garment templates, skinning, energies, relaxation and fabric estimation of caphy.

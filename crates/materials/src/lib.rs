@@ -1,0 +1,1 @@
+//! Fabric models of caphy: StVK and the ten measured fabrics.

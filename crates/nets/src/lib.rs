@@ -1,0 +1,1 @@
+//! Deformation nets of caphy: GRU and MLP with their vector-Jacobian products.

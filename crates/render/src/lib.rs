@@ -1,0 +1,1 @@
+//! A small z-buffer renderer for label views and for pictures.

@@ -1,0 +1,1 @@
+//! Segmenters of caphy and the fusion of their labels over views.
