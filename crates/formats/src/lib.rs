@@ -1,1 +1,7 @@
-//! File formats of caphy: OBJ, PLY, NPZ, ASF/AMC in; OBJ sequence and GLB out.
+//! File formats of caphy: NPZ, PLY, OBJ and motion in; PLY, OBJ, GLB and safetensors out.
+//!
+//! Nothing here touches the disk. A reader takes the file's bytes and its path, the path only for messages; a writer
+//! returns bytes. Damaged input gives a [`caphy_core::Error::Format`] that names the file, the element and the remedy:
+//! never a panic, and never an allocation on the word of a header alone.
+
+pub mod npz;
