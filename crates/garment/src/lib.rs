@@ -1,1 +1,11 @@
 //! Garment templates, skinning, energies, relaxation and fabric estimation of caphy.
+//!
+//! A garment is a triangle mesh with a rest state ([`GarmentRest`]). Per frame it is skinned with the body
+//! ([`skinning`], Eq. 2), told about the pose ([`features`]) and judged by the energies of Eqs. 3-12 ([`energy`]).
+
+pub mod energy;
+pub mod features;
+pub mod garment;
+pub mod skinning;
+
+pub use garment::GarmentRest;

@@ -1,0 +1,314 @@
+//! Bending energy (Eq. 7): Σ k l²/(8A) (τ − τ_T)² over hinges, with the material's k.
+
+use super::arc_tangent::arc_tangent;
+use super::{CHUNK, EnergyTerm, MAX_LANES, State, add_blocks, add_row, pad_to_chunks, row};
+use crate::GarmentRest;
+use caphy_core::array::Out;
+use caphy_core::lanes::Frames;
+use caphy_core::material::{HingeBlock, HingeLength, MaterialModel, MaterialReal};
+use caphy_core::{Error, Real, Result, simd_kernel};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// A height below this share of the edge counts as this share (ARCSim's rule): a needle's dτ/dx = 1/h stays bounded.
+const SMALLEST_HEIGHT: f64 = 1e-3;
+/// Geometry kept between the two passes over a hinge: two unit normals over heights, two foot parameters, the edge's
+/// direction.
+const KEPT: usize = 11;
+
+/// What the dihedral angle is measured from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RestAngle {
+    /// The template's angle τ_T (Eq. 7).
+    #[default]
+    Template,
+    /// Zero: cloth that wants to be flat (SNUG).
+    Flat,
+}
+
+/// A hinge at rest; `weight` is 0 for padding.
+#[derive(Debug, Clone, Copy)]
+struct Element<T> {
+    vertices: [u32; 4],
+    angle: T,
+    length: T,
+    area: T,
+    direction0: [T; 2],
+    direction1: [T; 2],
+    weight: T,
+}
+
+/// Bending energy of a garment made of one material.
+///
+/// With frozen stiffness the gradient holds k; otherwise it includes dk/dτ (and dk/dl where the current length is
+/// differentiated). The edge length follows [`HingeLength`] of the material. Eq. 7's k is not a mesh-independent plate
+/// rigidity.
+pub struct Bending<T> {
+    hinges: Vec<Element<T>>,
+    vertex_count: usize,
+    material: Arc<dyn MaterialModel>,
+}
+
+impl<T: MaterialReal> Bending<T> {
+    /// From a rest state.
+    pub fn new(rest: &GarmentRest, material: Arc<dyn MaterialModel>, rest_angle: RestAngle) -> Self {
+        let mut hinges: Vec<_> = rest
+            .hinges
+            .iter()
+            .map(|h| Element {
+                vertices: h.vertices,
+                angle: match rest_angle {
+                    RestAngle::Template => T::of(h.angle),
+                    RestAngle::Flat => T::zero(),
+                },
+                length: T::of(h.length),
+                area: T::of(h.area),
+                direction0: h.direction0.map(T::of),
+                direction1: h.direction1.map(T::of),
+                weight: T::one(),
+            })
+            .collect();
+        pad_to_chunks(&mut hinges, |h| h.weight = T::zero());
+        Self { hinges, vertex_count: rest.vertex_count(), material }
+    }
+    /// The same garment of another material.
+    pub fn set_material(&mut self, material: Arc<dyn MaterialModel>) {
+        self.material = material;
+    }
+
+    fn block(&self, step: usize, x: &[T], weight: f64, mut gradient: Option<&mut [T]>) -> Result<[f64; MAX_LANES]> {
+        let facts = self.material.describe();
+        let count = CHUNK * T::LANES;
+        let mut input = Input::new(count);
+        let mut kept = vec![T::zero(); KEPT * count];
+        let mut stiffness = vec![T::zero(); count];
+        let mut by_angle = vec![T::zero(); count];
+        let mut by_length = vec![T::zero(); count];
+        let mut energy = [0.0; MAX_LANES];
+        let current = facts.hinge_length != HingeLength::Rest;
+        let length_flows = facts.hinge_length == HingeLength::Current;
+        for (c, chunk) in self.hinges.chunks_exact(CHUNK).enumerate() {
+            measure(chunk, current, x, &mut input, &mut kept);
+            let mut block = HingeBlock {
+                count,
+                angle: (&input.angle[..]).into(),
+                angle_rest: (&input.angle_rest[..]).into(),
+                length: (&input.length[..]).into(),
+                area: (&input.area[..]).into(),
+                direction0: (&input.direction0[..]).into(),
+                direction1: (&input.direction1[..]).into(),
+                stiffness: Out::from(&mut stiffness[..]),
+                stiffness_by_angle: Out::absent(),
+                stiffness_by_length: Out::absent(),
+                stiffness_by_parameter: Out::absent(),
+            };
+            if gradient.is_some() && !facts.stiffness_frozen {
+                block.stiffness_by_angle = Out::from(&mut by_angle[..]);
+                if length_flows {
+                    block.stiffness_by_length = Out::from(&mut by_length[..]);
+                }
+            }
+            T::hinge(&*self.material, &mut block).map_err(|e| self.locate(e, step, c))?;
+            sum(chunk, T::of(weight), &input, &stiffness, &mut energy);
+            if let Some(gradient) = gradient.as_deref_mut() {
+                let slopes = (&by_angle[..], &by_length[..]);
+                scatter(chunk, length_flows, T::of(weight), &input, &kept, &stiffness, slopes, gradient);
+            }
+        }
+        Ok(energy)
+    }
+    /// Says where a fold was that the material refused.
+    fn locate(&self, error: Error, step: usize, chunk: usize) -> Error {
+        let Error::NonFinite { what, index, value } = error else { return error };
+        let element = index % (CHUNK * T::LANES);
+        let (hinge, window) = (chunk * CHUNK + element / T::LANES, element % T::LANES);
+        let [n0, n1, ..] = self.hinges[hinge].vertices;
+        Error::numerics(
+            "energy `bending`",
+            format!("{what} is {value} at edge {n0}-{n1} of step {step}, window {window}"),
+            "go back to the last good state with a smaller step, and check that the template is in metres",
+        )
+    }
+}
+
+impl<T: MaterialReal> EnergyTerm<T> for Bending<T> {
+    fn name(&self) -> &'static str {
+        "bending"
+    }
+    fn add(
+        &self,
+        state: &State<'_, T>,
+        weight: f64,
+        energy: &mut [f64],
+        gradient: Option<&mut Frames<T>>,
+    ) -> Result<()> {
+        add_blocks("bending", self.vertex_count, state.positions, energy, gradient, |b, part| {
+            self.block(b, state.positions.block(b), weight, part)
+        })
+    }
+}
+
+/// Arrays of a hinge block, `[component][hinge][lane]`.
+struct Input<T> {
+    angle: Vec<T>,
+    angle_rest: Vec<T>,
+    length: Vec<T>,
+    area: Vec<T>,
+    direction0: Vec<T>,
+    direction1: Vec<T>,
+}
+
+impl<T: Real> Input<T> {
+    fn new(count: usize) -> Self {
+        let zeros = |n: usize| vec![T::zero(); n];
+        Self {
+            angle: zeros(count),
+            angle_rest: zeros(count),
+            length: zeros(count),
+            area: zeros(count),
+            direction0: zeros(2 * count),
+            direction1: zeros(2 * count),
+        }
+    }
+}
+
+simd_kernel! {
+    /// Angle and length of each hinge, the rest quantities spread over lanes, and what [`scatter`] needs to `kept`
+    /// `[hinge][11][lane]`.
+    fn measure<T>(chunk: &[Element<T>], current: bool, x: &[T], input: &mut Input<T>, kept: &mut [T]) {
+        let lanes = T::LANES;
+        let count = CHUNK * lanes;
+        // Keeps divisions finite for collapsed hinges: far below any square of a real length or area.
+        let tiny = T::of(1e-30);
+        let floor = T::of(SMALLEST_HEIGHT * SMALLEST_HEIGHT);
+        for (i, hinge) in chunk.iter().enumerate() {
+            let [x0, x1, x2, x3] = hinge.vertices;
+            let (x0, x1, x2, x3) = (row(x, x0), row(x, x1), row(x, x2), row(x, x3));
+            let mut angle = [T::zero(); MAX_LANES];
+            let mut length = [T::zero(); MAX_LANES];
+            let mut keep = [[T::zero(); MAX_LANES]; KEPT];
+            for l in 0..lanes {
+                let (m, n) = (lanes + l, 2 * lanes + l);
+                let (ex, ey, ez) = (x1[l] - x0[l], x1[m] - x0[m], x1[n] - x0[n]);
+                let (ax, ay, az) = (x2[l] - x0[l], x2[m] - x0[m], x2[n] - x0[n]);
+                let (bx, by, bz) = (x3[l] - x0[l], x3[m] - x0[m], x3[n] - x0[n]);
+                // Normals n0 = e × a, n1 = b × e: twice the faces' areas long.
+                let (px, py, pz) = (ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax);
+                let (qx, qy, qz) = (by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex);
+                let ee = ex * ex + ey * ey + ez * ez;
+                let edge = ee.sqrt();
+                // −ê·(n0 × n1) = |e| n0·b, see `dihedral_angle`.
+                angle[l] = arc_tangent(edge * (px * bx + py * by + pz * bz), px * qx + py * qy + pz * qz);
+                length[l] = edge;
+                let (pp, qq) = (px * px + py * py + pz * pz, qx * qx + qy * qy + qz * qz);
+                // |n| = |e| h, so N/h = n |e| / |n|², with h not below its floor.
+                let least = floor * ee * ee + tiny;
+                let sp = edge / if pp > least { pp } else { least };
+                let sq = edge / if qq > least { qq } else { least };
+                let (inverse, direction) = (T::one() / (ee + tiny), T::one() / (edge + tiny));
+                keep[0][l] = px * sp;
+                keep[1][l] = py * sp;
+                keep[2][l] = pz * sp;
+                keep[3][l] = qx * sq;
+                keep[4][l] = qy * sq;
+                keep[5][l] = qz * sq;
+                keep[6][l] = (ax * ex + ay * ey + az * ez) * inverse;
+                keep[7][l] = (bx * ex + by * ey + bz * ez) * inverse;
+                keep[8][l] = ex * direction;
+                keep[9][l] = ey * direction;
+                keep[10][l] = ez * direction;
+            }
+            let at = i * lanes;
+            input.angle[at..][..lanes].copy_from_slice(&angle[..lanes]);
+            if current {
+                input.length[at..][..lanes].copy_from_slice(&length[..lanes]);
+            } else {
+                input.length[at..][..lanes].fill(hinge.length);
+            }
+            input.angle_rest[at..][..lanes].fill(hinge.angle);
+            input.area[at..][..lanes].fill(hinge.area);
+            for k in 0..2 {
+                input.direction0[k * count + at..][..lanes].fill(hinge.direction0[k]);
+                input.direction1[k * count + at..][..lanes].fill(hinge.direction1[k]);
+            }
+            for k in 0..KEPT {
+                kept[(i * KEPT + k) * lanes..][..lanes].copy_from_slice(&keep[k][..lanes]);
+            }
+        }
+    }
+}
+
+simd_kernel! {
+    /// Adds Σ k l²/(8A)(τ − τ_T)² per lane (Eq. 7): in T within a chunk, in f64 across chunks.
+    fn sum<T>(chunk: &[Element<T>], weight: T, input: &Input<T>, stiffness: &[T], energy: &mut [f64; MAX_LANES]) {
+        let lanes = T::LANES;
+        let mut total = [T::zero(); MAX_LANES];
+        for (i, hinge) in chunk.iter().enumerate() {
+            let factor = hinge.weight / (T::of(8.0) * hinge.area);
+            let at = i * lanes;
+            let (angle, length, k) =
+                (&input.angle[at..][..lanes], &input.length[at..][..lanes], &stiffness[at..][..lanes]);
+            for l in 0..lanes {
+                let fold = angle[l] - hinge.angle;
+                total[l] += factor * k[l] * length[l] * length[l] * fold * fold;
+            }
+        }
+        for l in 0..lanes {
+            energy[l] += (weight * total[l]).to_f64();
+        }
+    }
+}
+
+simd_kernel! {
+    /// Adds the gradient of Eq. 7 to the four vertices.
+    fn scatter<T>(
+        chunk: &[Element<T>],
+        length_flows: bool,
+        weight: T,
+        input: &Input<T>,
+        kept: &[T],
+        stiffness: &[T],
+        slopes: (&[T], &[T]),
+        gradient: &mut [T],
+    ) {
+        let lanes = T::LANES;
+        for (i, hinge) in chunk.iter().enumerate() {
+            let factor = weight * hinge.weight / (T::of(8.0) * hinge.area);
+            let at = i * lanes;
+            let (angle, length, k) =
+                (&input.angle[at..][..lanes], &input.length[at..][..lanes], &stiffness[at..][..lanes]);
+            let (by_angle, by_length) = (&slopes.0[at..][..lanes], &slopes.1[at..][..lanes]);
+            let kept = &kept[at * KEPT..][..KEPT * lanes];
+            let mut turn = [T::zero(); MAX_LANES];
+            let mut pull = [T::zero(); MAX_LANES];
+            for l in 0..lanes {
+                let fold = angle[l] - hinge.angle;
+                // dE/dτ and dE/dl.
+                turn[l] = factor * length[l] * length[l] * fold * (k[l] + k[l] + by_angle[l] * fold);
+                pull[l] = factor * fold * fold * length[l] * (k[l] + k[l] + by_length[l] * length[l]);
+            }
+            let mut g = [[[T::zero(); MAX_LANES]; 3]; 4];
+            for axis in 0..3 {
+                for l in 0..lanes {
+                    let (g2, g3) = (turn[l] * kept[axis * lanes + l], turn[l] * kept[(3 + axis) * lanes + l]);
+                    let along = kept[6 * lanes + l] * g2 + kept[7 * lanes + l] * g3;
+                    g[2][axis][l] = g2;
+                    g[3][axis][l] = g3;
+                    g[1][axis][l] = -along;
+                    g[0][axis][l] = along - g2 - g3;
+                }
+                if length_flows {
+                    for l in 0..lanes {
+                        let stretch = pull[l] * kept[(8 + axis) * lanes + l];
+                        g[1][axis][l] += stretch;
+                        g[0][axis][l] -= stretch;
+                    }
+                }
+            }
+            for (vertex, g) in hinge.vertices.iter().zip(&g) {
+                add_row(gradient, *vertex, g);
+            }
+        }
+    }
+}

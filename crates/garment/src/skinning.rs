@@ -1,0 +1,367 @@
+//! Garment skinning (Eq. 2): V(θ) = W(V_T + dV(θ), J(β), θ, w_G), in lanes, and its vector-Jacobian product.
+
+use caphy_core::body::BlendWeights;
+use caphy_core::lanes::Frames;
+use caphy_core::query::{Adjacency, NearestGrid};
+use caphy_core::{Error, Real, Result, Vec3, simd_kernel};
+use nalgebra::Matrix3x4;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// The widest register, in values: length of the per-lane scratch of kernels.
+const MAX_LANES: usize = 16;
+/// Entries of a blend transform.
+const ENTRIES: usize = 12;
+
+/// How garment weights w_G are made from the body's.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WeightOptions {
+    /// Sweeps of Laplacian smoothing over the garment; 0 is the paper's copy of the nearest body vertex. Default 40: the copy
+    /// jumps between arm and torso, and its tearing dominates the strain.
+    pub smoothing: usize,
+    /// Share that a vertex takes from the mean of its neighbours in a sweep, in [0, 1]. Default 0.5.
+    pub step: f64,
+    /// Joints kept per vertex after smoothing, the strongest first; the rest is spread over them. Default 8.
+    pub joints: usize,
+}
+
+impl Default for WeightOptions {
+    fn default() -> Self {
+        Self { smoothing: 40, step: 0.5, joints: 8 }
+    }
+}
+
+/// Weights w_G of garment vertices: rows of the nearest body vertices in the T-pose, then smoothed by the options.
+///
+/// `template` [m], shape [garment vertex]; `body` [m], shape [body vertex]: T-posed, shaped, with dT.
+///
+/// # Errors
+/// [`Error::Length`] for body vertices without weights, [`Error::Mesh`] for an empty body, [`Error::Parameter`] for options
+/// out of range.
+pub fn garment_weights(
+    template: &[Vec3],
+    faces: &[[u32; 3]],
+    body: &[Vec3],
+    body_weights: &BlendWeights,
+    options: &WeightOptions,
+) -> Result<BlendWeights> {
+    smoothed_weights(&nearest_weights(template, body, body_weights)?, faces, options)
+}
+
+/// The paper's weights: each garment vertex takes the row of the nearest body vertex.
+pub fn nearest_weights(template: &[Vec3], body: &[Vec3], body_weights: &BlendWeights) -> Result<BlendWeights> {
+    Error::check_length("rows of body skinning weights", body.len(), body_weights.vertex_count())?;
+    let grid = NearestGrid::from_points(body);
+    let rows = template
+        .iter()
+        .enumerate()
+        .map(|(v, point)| match grid.nearest_point(point) {
+            Some((id, _)) => Ok(body_weights.row(id as usize).map(|(j, w)| (j as u16, w)).collect()),
+            None => Err(Error::mesh(
+                "garment template",
+                format!("vertex {v}"),
+                format!("at ({}, {}, {}) has no nearest of {} body vertices", point.x, point.y, point.z, body.len()),
+                "give a finite template and a body with vertices",
+            )),
+        })
+        .collect::<Result<Vec<Vec<(u16, f64)>>>>()?;
+    Ok(BlendWeights::from_rows(rows))
+}
+
+/// Laplacian smoothing of weights over a mesh: w ← (1 − s) w + s mean of the neighbours' w, a number of sweeps; rows keep
+/// their strongest joints and sum to 1.
+pub fn smoothed_weights(weights: &BlendWeights, faces: &[[u32; 3]], options: &WeightOptions) -> Result<BlendWeights> {
+    let n = weights.vertex_count();
+    if !(0.0..=1.0).contains(&options.step) || options.joints == 0 {
+        let (name, value, lower, upper) = match options.joints {
+            0 => ("joints per garment vertex", 0.0, 1.0, f64::INFINITY),
+            _ => ("smoothing step of garment weights", options.step, 0.0, 1.0),
+        };
+        return Err(Error::Parameter { name: name.into(), value, lower, upper, unit: "1".into() });
+    }
+    if let Some(face) = faces.iter().position(|f| f.iter().any(|&id| id as usize >= n)) {
+        let problem = format!("names vertices {:?} but there are weights for {n}", faces[face]);
+        return Err(Error::mesh("garment", format!("face {face}"), problem, "give weights for every vertex"));
+    }
+    if options.smoothing == 0 {
+        return Ok(weights.clone());
+    }
+    let columns = weights.joints.iter().map(|&j| usize::from(j) + 1).max().unwrap_or(0);
+    let mut dense = vec![0.0; n * columns];
+    for v in 0..n {
+        for (j, w) in weights.row(v) {
+            dense[v * columns + j] += w;
+        }
+    }
+    let adjacency = Adjacency::new(n, faces);
+    let mut next = dense.clone();
+    for _ in 0..options.smoothing {
+        for v in 0..n {
+            let neighbours = adjacency.of(v);
+            if neighbours.is_empty() {
+                continue;
+            }
+            let share = options.step / neighbours.len() as f64;
+            for j in 0..columns {
+                let sum: f64 = neighbours.iter().map(|&u| dense[u as usize * columns + j]).sum();
+                next[v * columns + j] = (1.0 - options.step) * dense[v * columns + j] + share * sum;
+            }
+        }
+        std::mem::swap(&mut dense, &mut next);
+    }
+    Ok(BlendWeights::from_rows(dense.chunks_exact(columns.max(1)).map(|row| strongest(row, options.joints))))
+}
+
+/// The strongest entries of a dense row, in joint order, summing to 1.
+fn strongest(row: &[f64], count: usize) -> Vec<(u16, f64)> {
+    let mut entries: Vec<(u16, f64)> =
+        row.iter().enumerate().filter(|(_, w)| **w > 1e-5).map(|(j, &w)| (j as u16, w)).collect();
+    // Ties go to the smaller joint, so that the choice does not depend on the sort.
+    entries.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    entries.truncate(count);
+    entries.sort_by_key(|e| e.0);
+    let total: f64 = entries.iter().map(|e| e.1).sum();
+    entries.iter_mut().for_each(|e| e.1 /= total);
+    entries
+}
+
+/// Blend transforms A_j of the joints that move a garment, of many frames, in lanes: `[block][joint][12][lane]`, row-major.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JointFrames<T> {
+    blocks: usize,
+    joints: usize,
+    lanes_used: usize,
+    data: Vec<T>,
+}
+
+impl<T: Real> JointFrames<T> {
+    /// Blocks (time steps).
+    pub fn blocks(&self) -> usize {
+        self.blocks
+    }
+    /// Lanes that carry a frame of their own.
+    pub fn lanes_used(&self) -> usize {
+        self.lanes_used
+    }
+    fn block(&self, block: usize) -> &[T] {
+        let n = self.joints * ENTRIES * T::LANES;
+        &self.data[block * n..][..n]
+    }
+}
+
+/// Linear blend skinning of one garment.
+///
+/// A net's displacement is `[step][window][3 V]` (its natural output), frames are `[step][vertex][xyz][lane]`; the skinner
+/// changes between the two.
+#[derive(Debug, Clone)]
+pub struct Skinner<T> {
+    template: Vec<[T; 3]>,
+    offsets: Vec<u32>,
+    /// Index into `joints` and weight.
+    entries: Vec<(u32, T)>,
+    joints: Vec<usize>,
+}
+
+impl<T: Real> Skinner<T> {
+    /// For a template V_T [m] and its weights w_G, both shape [garment vertex].
+    ///
+    /// # Errors
+    /// [`Error::Length`] when they do not match, [`Error::NonFinite`] for bad values.
+    pub fn new(template: &[Vec3], weights: &BlendWeights) -> Result<Self> {
+        Error::check_length("rows of garment weights", template.len(), weights.vertex_count())?;
+        Error::check_finite("garment weights", &weights.weights)?;
+        let template: Vec<[T; 3]> = template.iter().map(|p| [T::of(p.x), T::of(p.y), T::of(p.z)]).collect();
+        Error::check_finite("garment template", template.as_flattened())?;
+        let mut joints: Vec<usize> = weights.joints.iter().map(|&j| usize::from(j)).collect();
+        joints.sort_unstable();
+        joints.dedup();
+        let entries = weights
+            .joints
+            .iter()
+            .zip(&weights.weights)
+            .map(|(&j, &w)| (joints.partition_point(|&k| k < usize::from(j)) as u32, T::of(w)))
+            .collect();
+        Ok(Self { template, offsets: weights.offsets.clone(), entries, joints })
+    }
+    /// Only some vertices, in the given order: for targets of held vertices.
+    ///
+    /// # Errors
+    /// [`Error::Mesh`] for a vertex that does not exist.
+    pub fn select(&self, vertices: &[u32]) -> Result<Self> {
+        let mut out = Self { template: Vec::new(), offsets: vec![0], entries: Vec::new(), joints: self.joints.clone() };
+        for &v in vertices {
+            let Some(&point) = self.template.get(v as usize) else {
+                let problem = format!("does not exist, there are {}", self.template.len());
+                return Err(Error::mesh("garment", format!("vertex {v}"), problem, "choose vertices of this garment"));
+            };
+            out.template.push(point);
+            out.entries.extend_from_slice(&self.entries[self.row(v as usize)]);
+            out.offsets.push(out.entries.len() as u32);
+        }
+        Ok(out)
+    }
+    /// Number of vertices.
+    pub fn vertex_count(&self) -> usize {
+        self.template.len()
+    }
+    /// Body joints that move the garment, ascending.
+    pub fn joints(&self) -> &[usize] {
+        &self.joints
+    }
+    fn row(&self, vertex: usize) -> std::ops::Range<usize> {
+        self.offsets[vertex] as usize..self.offsets[vertex + 1] as usize
+    }
+
+    /// Puts transforms A_j of frames `[block * lanes_used + lane]` (each shape [body joint], as in
+    /// [`caphy_core::body::PosedBody`]) into lanes; spare lanes repeat the last window.
+    ///
+    /// # Errors
+    /// [`Error::Length`] for too many lanes, a frame count that is not a multiple of them, or a frame with too few joints.
+    pub fn joint_frames(&self, frames: &[&[Matrix3x4<f64>]], lanes_used: usize) -> Result<JointFrames<T>> {
+        if lanes_used == 0 || lanes_used > T::LANES {
+            return Err(Error::Length { what: "lanes in use".into(), expected: T::LANES, got: lanes_used });
+        }
+        let blocks = frames.len() / lanes_used;
+        Error::check_length("frames of joint transforms", blocks * lanes_used, frames.len())?;
+        let needed = self.joints.last().map_or(0, |j| j + 1);
+        if let Some(short) = frames.iter().find(|f| f.len() < needed) {
+            return Err(Error::Length {
+                what: "joint transforms of a frame".into(),
+                expected: needed,
+                got: short.len(),
+            });
+        }
+        let mut data = Vec::with_capacity(blocks * self.joints.len() * ENTRIES * T::LANES);
+        for block in frames.chunks_exact(lanes_used) {
+            for &joint in &self.joints {
+                for entry in 0..ENTRIES {
+                    let at = (entry / 4, entry % 4);
+                    data.extend((0..T::LANES).map(|l| T::of(block[l.min(lanes_used - 1)][joint][at])));
+                }
+            }
+        }
+        Ok(JointFrames { blocks, joints: self.joints.len(), lanes_used, data })
+    }
+
+    /// World positions W(V_T + dV, …) of every frame (Eq. 2) [m]. `displacement` is dV [m] as a net gives it,
+    /// `[step][window][3 V]`; `None` skins the template itself.
+    ///
+    /// # Errors
+    /// [`Error::Length`] for shapes that do not fit.
+    pub fn forward(&self, joints: &JointFrames<T>, displacement: Option<&[T]>, out: &mut Frames<T>) -> Result<()> {
+        self.check("skinned positions", joints, out)?;
+        let per_block = joints.lanes_used * 3 * self.vertex_count();
+        if let Some(d) = displacement {
+            Error::check_length("displacements dV, [step][window][3 V]", joints.blocks * per_block, d.len())?;
+        }
+        let (n, lanes) = (out.block_len(), joints.lanes_used);
+        if n == 0 {
+            return Ok(());
+        }
+        let garment = (&self.template[..], &self.offsets[..], &self.entries[..]);
+        out.data_mut().par_chunks_mut(n).enumerate().for_each(|(block, out)| {
+            let dv = displacement.map_or(&[][..], |d| &d[block * per_block..][..per_block]);
+            blend_points(garment, joints.block(block), lanes, dv, out);
+        });
+        Ok(())
+    }
+
+    /// Vector-Jacobian product: gradient by dV, `[step][window][3 V]` (overwritten), of a gradient by world positions: Mᵀ f
+    /// with M the rotation part of the blended transform.
+    ///
+    /// # Errors
+    /// [`Error::Length`] for shapes that do not fit.
+    pub fn vjp(&self, joints: &JointFrames<T>, gradient: &Frames<T>, out: &mut [T]) -> Result<()> {
+        self.check("gradient of skinned positions", joints, gradient)?;
+        let per_block = joints.lanes_used * 3 * self.vertex_count();
+        Error::check_length("gradient of dV, [step][window][3 V]", joints.blocks * per_block, out.len())?;
+        if per_block == 0 {
+            return Ok(());
+        }
+        let garment = (&self.template[..], &self.offsets[..], &self.entries[..]);
+        let lanes = joints.lanes_used;
+        out.par_chunks_mut(per_block)
+            .enumerate()
+            .for_each(|(block, out)| blend_back(garment, joints.block(block), lanes, gradient.block(block), out));
+        Ok(())
+    }
+    fn check(&self, what: &str, joints: &JointFrames<T>, frames: &Frames<T>) -> Result<()> {
+        Error::check_length("joints of the transforms", self.joints.len(), joints.joints)?;
+        Error::check_length(&format!("{what}, vertices"), self.vertex_count(), frames.vertices())?;
+        Error::check_length(&format!("{what}, blocks"), joints.blocks, frames.blocks())?;
+        Error::check_length(&format!("{what}, lanes in use"), joints.lanes_used, frames.lanes_used())
+    }
+}
+
+/// Template, row offsets, entries of a [`Skinner`].
+type Rows<'a, T> = (&'a [[T; 3]], &'a [u32], &'a [(u32, T)]);
+
+simd_kernel! {
+    /// Σ w_j A_j (V_T + dV) of one block.
+    fn blend_points<T>(garment: Rows<'_, T>, joints: &[T], used: usize, displacement: &[T], out: &mut [T]) {
+        let lanes = T::LANES;
+        let (template, offsets, entries) = garment;
+        let width = 3 * template.len();
+        for (v, (point, out)) in template.iter().zip(out.chunks_exact_mut(3 * lanes)).enumerate() {
+            let mut m = [[T::zero(); MAX_LANES]; ENTRIES];
+            for &(joint, w) in &entries[offsets[v] as usize..offsets[v + 1] as usize] {
+                let a = &joints[joint as usize * ENTRIES * lanes..][..ENTRIES * lanes];
+                for k in 0..ENTRIES {
+                    for l in 0..lanes {
+                        m[k][l] += w * a[k * lanes + l];
+                    }
+                }
+            }
+            let mut p = point.map(|c| [c; MAX_LANES]);
+            if !displacement.is_empty() {
+                for l in 0..lanes {
+                    let window = if l < used { l } else { used - 1 };
+                    let d = &displacement[window * width + 3 * v..][..3];
+                    for k in 0..3 {
+                        p[k][l] += d[k];
+                    }
+                }
+            }
+            for k in 0..3 {
+                for l in 0..lanes {
+                    out[k * lanes + l] =
+                        m[4 * k][l] * p[0][l] + m[4 * k + 1][l] * p[1][l] + m[4 * k + 2][l] * p[2][l] + m[4 * k + 3][l];
+                }
+            }
+        }
+    }
+}
+
+simd_kernel! {
+    /// Mᵀ f of one block, to the net's layout.
+    fn blend_back<T>(garment: Rows<'_, T>, joints: &[T], used: usize, gradient: &[T], out: &mut [T]) {
+        let lanes = T::LANES;
+        let (template, offsets, entries) = garment;
+        let width = 3 * template.len();
+        for (v, f) in gradient.chunks_exact(3 * lanes).enumerate() {
+            let mut m = [[T::zero(); MAX_LANES]; 9];
+            for &(joint, w) in &entries[offsets[v] as usize..offsets[v + 1] as usize] {
+                let a = &joints[joint as usize * ENTRIES * lanes..][..ENTRIES * lanes];
+                for k in 0..9 {
+                    let from = (k / 3 * 4 + k % 3) * lanes;
+                    for l in 0..lanes {
+                        m[k][l] += w * a[from + l];
+                    }
+                }
+            }
+            let mut g = [[T::zero(); MAX_LANES]; 3];
+            for k in 0..3 {
+                for l in 0..lanes {
+                    g[k][l] = m[k][l] * f[l] + m[3 + k][l] * f[lanes + l] + m[6 + k][l] * f[2 * lanes + l];
+                }
+            }
+            for l in 0..used {
+                let out = &mut out[l * width + 3 * v..][..3];
+                for k in 0..3 {
+                    out[k] = g[k][l];
+                }
+            }
+        }
+    }
+}
