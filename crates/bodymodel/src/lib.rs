@@ -1,1 +1,6 @@
 //! Body models of caphy: the SMPL-X layout, a mannequin, registration under clothing.
+
+pub mod registration;
+pub mod smplx;
+
+pub use smplx::BodySmplx;
