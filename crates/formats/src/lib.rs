@@ -5,3 +5,5 @@
 //! never a panic, and never an allocation on the word of a header alone.
 
 pub mod npz;
+pub mod obj;
+pub mod ply;

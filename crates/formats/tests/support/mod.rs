@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 /// A file of the shared folder, or `None` with a loud line.
-pub fn shared(name: &str) -> Option<Vec<u8>> {
+pub(crate) fn shared(name: &str) -> Option<Vec<u8>> {
     let folder = std::env::var_os("CAPHY_SHARED")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")), PathBuf::from);
     let path = folder.join(name);
