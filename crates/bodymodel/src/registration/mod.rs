@@ -1,0 +1,191 @@
+//! Segmentation-aware registration: one naked body shape and a pose per scan, under the clothes (Sec. 3.1).
+//!
+//! # Method
+//! Skin of the scan attracts the body. Cloth holds it inside: a stiff one-sided bound, a weak expectation of ease, and a weak
+//! pull where the body is deeper than clothes usually are. Correspondences go both ways, to the nearest point whose
+//! normal is compatible; residuals are distances along the scan's normal with Geman-McClure weights whose scale shrinks. Priors
+//! hold the pose (knees and elbows bend one way) and the shape (N(0, 1)). Gauss-Newton steps with the body's own Jacobian
+//! solve all poses and the shared shape together: the arrow-shaped system by Schur's complement. The start is a coarse
+//! search over heading, position, arms and legs, whose best poses are tried before one is kept.
+//!
+//! Nothing here assumes SMPL-X but the joint names that choose priors and limbs; joints of other names get defaults.
+//!
+//! Differs from the paper: the paper prints no energy for this step ("constraining the deformed vertices to align the
+//! uncovered skin areas while being underneath the clothing areas").
+
+mod correspondence;
+mod displacement;
+mod prior;
+mod settings;
+mod solve;
+mod start;
+
+pub use settings::RegistrationSettings;
+
+use caphy_core::body::BodyModel;
+use caphy_core::pose::Pose;
+use caphy_core::scan::LabelledPoints;
+use caphy_core::{Error, Result, Vec3};
+use prior::Group;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use solve::{Level, Problem, ScanData, State};
+
+/// A scan to fit, with outward normals and labels.
+#[derive(Debug, Clone)]
+pub struct RegistrationScan<'a> {
+    /// Name for reports and errors.
+    pub name: &'a str,
+    /// Points [m], y up; normals; labels. Points labelled [`Ignore`](caphy_core::scan::Label::Ignore) are not looked at.
+    pub points: &'a LabelledPoints,
+    /// A rough pose, from a keypoint fit say; replaces the search. `None`: only that the person stands upright is known.
+    pub start: Option<Pose>,
+}
+
+/// How well one scan was fitted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScanFit {
+    /// The scan's name.
+    pub name: String,
+    /// Root mean square distance of bare skin to the body along the normal, over sampled skin points within the last robust
+    /// scale [mm]; dT included.
+    pub skin_rms_mm: f64,
+    /// Share of sampled skin points with the body within the last robust scale [1]: low when a limb was missed.
+    pub skin_found_share: f64,
+    /// Share of the sampled, covered body vertices that lie inside the cloth, or less than 2 mm outside [1].
+    pub inside_share: f64,
+    /// Median depth of covered body vertices under the cloth [mm].
+    pub cloth_depth_mm: f64,
+    /// Gauss-Newton iterations of the joint stage.
+    pub iterations: usize,
+    /// Largest change of a rotation [rad] or the translation [m] in the last step.
+    pub last_step: f64,
+}
+
+/// A body under the clothes of all scans.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Registration {
+    /// Shape β [1], shared by all scans.
+    pub shape: Vec<f64>,
+    /// One pose per scan, in the order given.
+    pub poses: Vec<Pose>,
+    /// Displacements dT of the T-posed surface [m], shape [vertex_count], shared by all scans.
+    pub displacement: Vec<Vec3>,
+    /// One report per scan, in the order given.
+    pub report: Vec<ScanFit>,
+}
+
+/// Fits one shape and a pose per scan. `progress` gets values rising from 0 to 1, from any thread.
+///
+/// # Errors
+/// [`Error::Config`] for settings out of range; [`Error::Length`], [`Error::NonFinite`] or [`Error::Mesh`] for scans and
+/// start poses that cannot be used; [`Error::Numerics`] where the equations have no solution; the body's own errors.
+pub fn register(
+    body: &dyn BodyModel,
+    scans: &[RegistrationScan],
+    settings: &RegistrationSettings,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<Registration> {
+    settings.check()?;
+    let description = body.describe();
+    let joint_count = description.joints.len();
+    let shape_count = settings.shape_coefficients.min(description.shape_count);
+    for scan in scans {
+        if let Some(pose) = &scan.start {
+            Error::check_length(&format!("start pose of scan `{}`", scan.name), joint_count, pose.rotations.len())?;
+            for v in pose.rotations.iter().chain([&pose.translation]) {
+                Error::check_finite(&format!("start pose of scan `{}`", scan.name), v.as_slice())?;
+            }
+        }
+    }
+    let data: Vec<ScanData> =
+        scans.par_iter().map(|s| solve::prepare(s.name, s.points, settings)).collect::<Result<_>>()?;
+    let neutral = State { shape: vec![0.0; shape_count], poses: vec![] };
+    let (rest, _) = solve::pose_body(body, &neutral.shape, &Pose::rest(joint_count))?;
+    let samples = correspondence::spread(&rest.vertices, settings.sample_vertices);
+    let priors = prior::joint_priors(description);
+    let problem = Problem { body, settings, priors: &priors, samples: &samples };
+    let proxy = start::Proxy::new(body, &neutral.shape)?;
+
+    // Every scan's start on its own; each trial may take its own shape, since people differ in height.
+    let done = std::sync::atomic::AtomicUsize::new(0);
+    let starts: Vec<State> = scans
+        .par_iter()
+        .zip(&data)
+        .map(|(scan, data)| {
+            let candidates = match &scan.start {
+                Some(pose) => vec![pose.clone()],
+                None => proxy.search(scan.points, settings.start_headings, settings.start_trials),
+            };
+            let best = try_starts(&problem, data, &neutral.shape, candidates);
+            let count = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+            progress(0.4 * count as f64 / scans.len() as f64);
+            best
+        })
+        .collect::<Result<_>>()?;
+
+    let mut state = State { shape: vec![0.0; shape_count], poses: starts.iter().map(|s| s.poses[0].clone()).collect() };
+    for start in &starts {
+        for (s, v) in state.shape.iter_mut().zip(&start.shape) {
+            *s += v / starts.len() as f64;
+        }
+    }
+    let all: Vec<&ScanData> = data.iter().collect();
+    let mut last = vec![0.0; scans.len()];
+    for i in 0..settings.iterations {
+        // The first third refines where the trials ended, the last third only converges.
+        let x = (TRIAL_END + (1.0 - TRIAL_END) * 1.5 * i as f64 / settings.iterations as f64).min(1.0);
+        last = solve::step(&problem, &all, &mut state, &Level::at(settings, x, Group::End, true))?;
+        progress(0.4 + 0.5 * (i + 1) as f64 / settings.iterations as f64);
+    }
+    let fine = Level::at(settings, 1.0, Group::End, true);
+    let displacement = displacement::displace(&problem, &all, &state, &fine)?;
+    let report = scans
+        .par_iter()
+        .zip(&data)
+        .enumerate()
+        .map(|(i, (scan, data))| {
+            let fit = displacement::measure(&problem, data, &state, i, &displacement, &fine)?;
+            Ok(ScanFit {
+                name: scan.name.to_owned(),
+                skin_rms_mm: 1e3 * fit.skin_rms,
+                skin_found_share: fit.skin_found_share,
+                inside_share: fit.inside_share,
+                cloth_depth_mm: 1e3 * fit.cloth_depth,
+                iterations: settings.iterations,
+                last_step: last[i],
+            })
+        })
+        .collect::<Result<_>>()?;
+    progress(1.0);
+    Ok(Registration { shape: state.shape, poses: state.poses, displacement, report })
+}
+
+/// How far the trials go in the coarse-to-fine schedule.
+const TRIAL_END: f64 = 0.35;
+
+/// Runs a short fit from every candidate and keeps the cheapest.
+fn try_starts(problem: &Problem, scan: &ScanData, shape: &[f64], candidates: Vec<Pose>) -> Result<State> {
+    let count = problem.settings.start_iterations;
+    let mut best: Option<(f64, State)> = None;
+    for pose in candidates {
+        let mut state = State { shape: shape.to_vec(), poses: vec![pose] };
+        for i in 0..count {
+            let x = TRIAL_END * i as f64 / count as f64;
+            let group = if i < 2 { Group::Root } else { Group::End };
+            solve::step(problem, &[scan], &mut state, &Level::at(problem.settings, x, group, i >= 4))?;
+        }
+        let level = Level::at(problem.settings, TRIAL_END, Group::End, true);
+        let cost = solve::cost(problem, scan, &state.shape, &state.poses[0], &level)?;
+        if best.as_ref().is_none_or(|(b, _)| cost < *b) {
+            best = Some((cost, state));
+        }
+    }
+    best.map(|(_, state)| state).ok_or_else(|| {
+        Error::numerics(
+            format!("registration of scan `{}`", scan.name),
+            "no start pose was found",
+            "give a start pose for this scan",
+        )
+    })
+}

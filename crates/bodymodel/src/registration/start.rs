@@ -1,0 +1,300 @@
+//! Where to start: a coarse search over heading, position, arms and legs with a thinned body.
+//!
+//! Iterative closest points only finds the pose whose basin it starts in. The search poses a few hundred vertices by plain
+//! linear blend skinning (pose correctives are smaller than what it resolves), measures a symmetric, capped distance to
+//! a few hundred scan points in position and normal, and turns one limb at a time through a table of angles.
+
+use super::correspondence::spread;
+use caphy_core::body::{BodyDescription, BodyModel, BodyParameters};
+use caphy_core::pose::Pose;
+use caphy_core::scan::{Label, LabelledPoints};
+use caphy_core::{Result, Vec3, mesh, simd_kernel};
+use nalgebra::{Matrix3, Rotation3};
+
+/// Vertices and scan points of the coarse search, each.
+const POINTS: usize = 384;
+/// Distance that stands for opposite normals, times one half [m]: a third of a limb's girth.
+const NORMAL_LENGTH: f32 = 0.08;
+/// Distance beyond which a point counts as not explained [m].
+const CAP: f32 = 0.25;
+
+/// The body as the search sees it: rest joints and a few weighted vertices.
+pub(super) struct Proxy<'a> {
+    body: &'a BodyDescription,
+    /// Rest joints [m].
+    joints: Vec<Vec3>,
+    vertices: Vec<u32>,
+    rest: Vec<Vec3>,
+    normals: Vec<Vec3>,
+}
+
+/// Positions and normals, coordinate by coordinate.
+#[derive(Default, Clone)]
+struct Cloud {
+    coordinates: [Vec<f32>; 6],
+}
+
+impl Cloud {
+    fn new(points: &[Vec3], normals: &[Vec3]) -> Self {
+        let mut out = Self::default();
+        for (p, n) in points.iter().zip(normals) {
+            for k in 0..3 {
+                out.coordinates[k].push(p[k] as f32);
+                out.coordinates[k + 3].push(n[k] as f32 * NORMAL_LENGTH);
+            }
+        }
+        out
+    }
+    fn len(&self) -> usize {
+        self.coordinates[0].len()
+    }
+}
+
+simd_kernel! {
+    /// Squared distances in six dimensions from one point to all of a cloud, and the running minimum per point.
+    fn distances<T>(point: &[T; 6], cloud: &[&[T]; 6], out: &mut [T], minimum: &mut [T]) {
+        let n = out.len();
+        let [x, y, z, u, v, w] = [&cloud[0][..n], &cloud[1][..n], &cloud[2][..n], &cloud[3][..n], &cloud[4][..n], &cloud[5][..n]];
+        let minimum = &mut minimum[..n];
+        for i in 0..n {
+            let (a, b, c) = (x[i] - point[0], y[i] - point[1], z[i] - point[2]);
+            let (d, e, f) = (u[i] - point[3], v[i] - point[4], w[i] - point[5]);
+            let s = a * a + b * b + c * c + d * d + e * e + f * f;
+            out[i] = s;
+            minimum[i] = if s < minimum[i] { s } else { minimum[i] };
+        }
+    }
+}
+
+simd_kernel! {
+    /// Smallest of some values.
+    fn smallest<T>(values: &[T]) -> T {
+        let mut best = [T::infinity(); 16];
+        let chunks = values.chunks_exact(16);
+        let rest = chunks.remainder();
+        for chunk in chunks {
+            for k in 0..16 {
+                best[k] = if chunk[k] < best[k] { chunk[k] } else { best[k] };
+            }
+        }
+        let mut out = T::infinity();
+        for &v in best.iter().chain(rest) {
+            out = if v < out { v } else { out };
+        }
+        out
+    }
+}
+
+/// Mean capped squared distance, both directions [m²].
+fn misfit(body: &Cloud, scan: &Cloud, weights: &[f32], scratch: &mut [Vec<f32>; 2]) -> f64 {
+    let n = scan.len();
+    let cap = CAP * CAP;
+    let [row, minimum] = scratch;
+    row.resize(n, 0.0);
+    minimum.clear();
+    minimum.resize(n, f32::INFINITY);
+    let slices: [&[f32]; 6] = std::array::from_fn(|k| &scan.coordinates[k][..]);
+    let mut to_scan = 0.0f64;
+    for i in 0..body.len() {
+        let point: [f32; 6] = std::array::from_fn(|k| body.coordinates[k][i]);
+        distances(&point, &slices, row, minimum);
+        to_scan += f64::from(smallest(row).min(cap));
+    }
+    let total: f32 = weights.iter().sum();
+    let to_body: f64 = minimum.iter().zip(weights).map(|(d, w)| f64::from(d.min(cap) * w)).sum();
+    to_scan / body.len().max(1) as f64 + to_body / f64::from(total.max(1e-6))
+}
+
+/// One limb of the search: its joints and the table of their rotations.
+struct Limb {
+    joints: [usize; 2],
+    table: Vec<[Vec3; 2]>,
+}
+
+fn turn(axis: usize, degrees: f64) -> Rotation3<f64> {
+    let mut v = Vec3::zeros();
+    v[axis] = degrees.to_radians();
+    Rotation3::new(v)
+}
+
+/// Arms and legs of a body whose joints have the SMPL-X names; none for others.
+fn limbs(body: &BodyDescription) -> Vec<Limb> {
+    let mut out = Vec::new();
+    for (side, s) in [("left", 1.0), ("right", -1.0)] {
+        let pair = |a: &str, b: &str| Some([body.joint(&format!("{side}_{a}"))?, body.joint(&format!("{side}_{b}"))?]);
+        if let Some(joints) = pair("hip", "knee") {
+            let mut table = Vec::new();
+            for apart in [0.0, 15.0, 35.0] {
+                for forward in [-25.0, 0.0, 30.0, 60.0, 90.0] {
+                    for knee in [0.0, 45.0, 90.0] {
+                        let hip = turn(2, s * apart) * turn(0, -forward);
+                        table.push([hip.scaled_axis(), turn(0, knee).scaled_axis()]);
+                    }
+                }
+            }
+            out.push(Limb { joints, table });
+        }
+        if let Some(joints) = pair("shoulder", "elbow") {
+            let mut table = Vec::new();
+            for down in [-70.0, -35.0, 0.0, 30.0, 55.0, 80.0] {
+                for forward in [-30.0, 0.0, 40.0, 80.0] {
+                    for elbow in [0.0, 50.0, 100.0] {
+                        let shoulder = turn(1, -s * forward) * turn(2, -s * down);
+                        table.push([shoulder.scaled_axis(), turn(1, -s * elbow).scaled_axis()]);
+                    }
+                }
+            }
+            out.push(Limb { joints, table });
+        }
+    }
+    out
+}
+
+impl<'a> Proxy<'a> {
+    /// Thins the T-posed body of a shape.
+    pub(super) fn new(body: &'a dyn BodyModel, shape: &[f64]) -> Result<Self> {
+        let description = body.describe();
+        let posed = body.forward(&BodyParameters::rest(description.joints.len(), shape))?;
+        let normals = mesh::vertex_normals(&posed.vertices, &description.faces);
+        let vertices: Vec<u32> = spread(&posed.vertices, POINTS);
+        Ok(Self {
+            body: description,
+            rest: vertices.iter().map(|&v| posed.vertices[v as usize]).collect(),
+            normals: vertices.iter().map(|&v| normals[v as usize]).collect(),
+            joints: posed.joints,
+            vertices,
+        })
+    }
+    fn pose(&self, pose: &Pose) -> Cloud {
+        // World rotation and position of each joint, parents first.
+        let mut world: Vec<(Matrix3<f64>, Vec3)> = Vec::with_capacity(self.joints.len());
+        for (j, joint) in self.body.joints.iter().enumerate() {
+            let local = Rotation3::from_scaled_axis(pose.rotations[j]).into_inner();
+            world.push(match joint.parent {
+                None => (local, self.joints[j] + pose.translation),
+                Some(p) => {
+                    let (r, t) = world[p];
+                    (r * local, t + r * (self.joints[j] - self.joints[p]))
+                }
+            });
+        }
+        let mut points = Vec::with_capacity(self.rest.len());
+        let mut normals = Vec::with_capacity(self.rest.len());
+        for (i, &v) in self.vertices.iter().enumerate() {
+            let (mut p, mut n) = (Vec3::zeros(), Vec3::zeros());
+            for (j, w) in self.body.weights.row(v as usize) {
+                let (r, t) = &world[j];
+                p += (t + r * (self.rest[i] - self.joints[j])) * w;
+                n += r * self.normals[i] * w;
+            }
+            points.push(p);
+            normals.push(n.try_normalize(0.0).unwrap_or_else(Vec3::zeros));
+        }
+        Cloud::new(&points, &normals)
+    }
+    /// Start poses, best first, at most `count`, of different heading: each heading's search ends in one pose.
+    pub(super) fn search(&self, scan: &LabelledPoints, headings: usize, count: usize) -> Vec<Pose> {
+        let ids = spread(&scan.points, POINTS);
+        let ids: Vec<usize> =
+            ids.into_iter().map(|i| i as usize).filter(|&i| scan.labels[i] != Label::Ignore).collect();
+        let points: Vec<Vec3> = ids.iter().map(|&i| scan.points[i]).collect();
+        let normals: Vec<Vec3> = ids.iter().map(|&i| scan.normals[i]).collect();
+        let cloud = Cloud::new(&points, &normals);
+        let weights = vec![1.0f32; ids.len()];
+        let limbs = limbs(self.body);
+        let root = self.body.joints.iter().position(|j| j.parent.is_none());
+        let mut found: Vec<(f64, Pose)> = Vec::new();
+        for heading in 0..headings {
+            let mut pose = Pose::rest(self.joints.len());
+            if let Some(root) = root {
+                let yaw = std::f64::consts::TAU * heading as f64 / headings as f64;
+                // A half turn exactly is the one rotation without a unique axis-angle.
+                pose.rotations[root] =
+                    Vec3::y() * if yaw > std::f64::consts::PI { yaw - std::f64::consts::TAU } else { yaw };
+            }
+            let mut scratch = [Vec::new(), Vec::new()];
+            let mut best = self.place(&mut pose, &points, &cloud, &weights, &mut scratch);
+            for _ in 0..2 {
+                for limb in &limbs {
+                    for entry in &limb.table {
+                        let mut trial = pose.clone();
+                        for (&joint, rotation) in limb.joints.iter().zip(entry) {
+                            trial.rotations[joint] = *rotation;
+                        }
+                        let cost = misfit(&self.pose(&trial), &cloud, &weights, &mut scratch);
+                        if cost < best {
+                            (best, pose) = (cost, trial);
+                        }
+                    }
+                }
+                best = best.min(self.place(&mut pose, &points, &cloud, &weights, &mut scratch));
+            }
+            found.push((best, pose));
+        }
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        found.truncate(count);
+        found.into_iter().map(|(_, pose)| pose).collect()
+    }
+    /// Moves the body as a whole to the cheapest of a few positions: boxes aligned below, above and by the median, then a
+    /// pattern search around the best.
+    fn place(
+        &self,
+        pose: &mut Pose,
+        points: &[Vec3],
+        cloud: &Cloud,
+        weights: &[f32],
+        scratch: &mut [Vec<f32>; 2],
+    ) -> f64 {
+        let posed = self.pose(pose);
+        let range = |mut values: Vec<f64>| {
+            values.sort_by(f64::total_cmp);
+            let at = |share: f64| values.get((values.len().saturating_sub(1) as f64 * share) as usize).copied();
+            [0.01, 0.5, 0.99].map(|share| at(share).unwrap_or(0.0))
+        };
+        let body: [[f64; 3]; 3] =
+            std::array::from_fn(|k| range(posed.coordinates[k].iter().map(|&c| f64::from(c)).collect()));
+        let scan: [[f64; 3]; 3] = std::array::from_fn(|k| range(points.iter().map(|p| p[k]).collect()));
+        let here = pose.translation;
+        let mut candidates = vec![here];
+        for y in 0..3 {
+            candidates
+                .push(here + Vec3::new(scan[0][1] - body[0][1], scan[1][y] - body[1][y], scan[2][1] - body[2][1]));
+        }
+        let mut best = f64::INFINITY;
+        let mut at = here;
+        let shift = |t: Vec3, scratch: &mut [Vec<f32>; 2]| {
+            let mut moved = posed.clone();
+            for k in 0..3 {
+                let d = (t[k] - here[k]) as f32;
+                moved.coordinates[k].iter_mut().for_each(|c| *c += d);
+            }
+            misfit(&moved, cloud, weights, scratch)
+        };
+        for candidate in candidates {
+            let cost = shift(candidate, scratch);
+            if cost < best {
+                (best, at) = (cost, candidate);
+            }
+        }
+        for step in [0.1, 0.05, 0.025] {
+            for _ in 0..4 {
+                let centre = at;
+                for axis in 0..3 {
+                    for sign in [-1.0, 1.0] {
+                        let mut candidate = centre;
+                        candidate[axis] += sign * step;
+                        let cost = shift(candidate, scratch);
+                        if cost < best {
+                            (best, at) = (cost, candidate);
+                        }
+                    }
+                }
+                if at == centre {
+                    break;
+                }
+            }
+        }
+        pose.translation = at;
+        best
+    }
+}
