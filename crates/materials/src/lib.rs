@@ -1,1 +1,34 @@
-//! Fabric models of caphy: StVK and the ten measured fabrics.
+//! Fabric models of caphy, chosen by `type = "…"` in the `[material]` table:
+//!
+//! | type | model | membrane | bending |
+//! |---|---|---|---|
+//! | `stvk` | [`MaterialStvk`] | plain Saint Venant-Kirchhoff, two constants (Eq. 5) | one constant (Eq. 7) |
+//! | `measured` | [`MaterialMeasured`] | ten measured fabrics, four constants looked up by strain | looked up by fold direction and curvature |
+//!
+//! # Licence of the fabric data
+//! The numbers in `fabrics.json` were measured by Wang, O'Brien and Ramamoorthi (*Data-driven elastic models for cloth:
+//! modeling and measurement*, 2011) and are distributed with ARCSim **for educational, research and not-for-profit
+//! use**. That restriction goes with the data (see `NOTICE`), not with this crate's source.
+//!
+//! # Pitfalls, and what is done about each
+//! * **Factor 2 in shear.** ARCSim's energy routine has ½ k3 Guv², its force k3 Guv. Here ψ has k3 Guv², whose gradient
+//!   *is* that force (dψ = Suu dGuu + Svv dGvv + 2 Suv dGuv).
+//! * **Factor 2 in the table.** The stiffness is twice the interpolated raw entry; forgetting it halves the cloth.
+//! * **Negative rows.** 20 of the 240 published numbers are negative. They stay as published; the interpolated stiffness
+//!   is clamped to max(0, ·) at the table's nodes. Where the clamp is active, derivatives by those entries are zero.
+//! * **Area, not volume.** Measured constants are N/m. Moduli in Pa enter only together with a thickness, by type.
+//! * **Frozen stiffness.** The default stress ignores dk/dG, as ARCSim's force does: it is then not the gradient of the
+//!   energy, and [`MaterialDescription::stiffness_frozen`](caphy_core::material::MaterialDescription) says so.
+//! * **Kinks.** k is only continuous: its slope jumps on every table plane (1/30 in G) and at Guv = 0, where the slope
+//!   by Guv is given as 0, the mean of both sides.
+//! * **Overflow.** Strains beyond ±1e14 (f32) or ±1e100 (f64) are cut there, so that the energy of any finite strain is
+//!   finite.
+
+mod angle;
+mod bounds;
+mod chunk;
+pub mod measured;
+pub mod stvk;
+
+pub use measured::{MaterialMeasured, MaterialMeasuredSpec};
+pub use stvk::{MaterialStvk, MaterialStvkSpec};
