@@ -148,9 +148,24 @@ impl Error {
     }
     /// `Ok` when all values are finite, else an [`Error::NonFinite`] naming the first that is not.
     pub fn check_finite<T: crate::Real>(what: &str, values: &[T]) -> Result<()> {
+        // Without an early exit the common case runs in vector registers: blocks are checked on every call.
+        if all_finite(values) {
+            return Ok(());
+        }
         match values.iter().position(|v| !v.is_finite()) {
             None => Ok(()),
             Some(index) => Err(Self::NonFinite { what: what.into(), index, value: values[index].to_f64() }),
         }
+    }
+}
+
+crate::simd_kernel! {
+    /// Whether no value is NaN or infinite.
+    fn all_finite<T>(values: &[T]) -> bool {
+        let mut finite = true;
+        for value in values {
+            finite &= value.is_finite();
+        }
+        finite
     }
 }
