@@ -1,0 +1,218 @@
+//! The style space: few numbers that say what a garment looks like on any body.
+
+use caphy_core::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+/// What a garment covers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GarmentKind {
+    /// Shirts: trunk and arms.
+    Upper,
+    /// Trousers: pelvis and legs.
+    Lower,
+}
+
+/// Style of a shirt. Lengths are fractions of the body's own, so that a style means the same on every body.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UpperStyle {
+    /// 0 sleeveless, 1 down to the wrist.
+    pub sleeve_length: f64,
+    /// 0 down to the waist, 0.5 about the crotch, 1 down to mid-thigh.
+    pub body_length: f64,
+    /// Ease [m]: how far the cloth stands off the chest; 0 tight.
+    pub looseness: f64,
+    /// 0 a crew neck, 1 a deep scoop.
+    pub neckline: f64,
+}
+
+/// Style of trousers.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LowerStyle {
+    /// 0 shorts that end just below the crotch, 1 down to the ankle.
+    pub leg_length: f64,
+    /// Ease [m]: how far the cloth stands off the thigh; 0 tight.
+    pub looseness: f64,
+    /// 0 waistband on the hips, 1 at the natural waist.
+    pub rise: f64,
+}
+
+/// One point of the style space.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Style {
+    /// A shirt.
+    Upper(UpperStyle),
+    /// Trousers.
+    Lower(LowerStyle),
+}
+
+/// One axis of the style space.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StyleRange {
+    /// The field's name.
+    pub name: &'static str,
+    /// Unit of both bounds.
+    pub unit: &'static str,
+    /// Smallest value.
+    pub lower: f64,
+    /// Largest value.
+    pub upper: f64,
+}
+
+const fn range(name: &'static str, unit: &'static str, lower: f64, upper: f64) -> StyleRange {
+    StyleRange { name, unit, lower, upper }
+}
+
+/// Axes of [`UpperStyle`], in the order of its fields.
+pub const UPPER_RANGES: [StyleRange; 4] = [
+    range("sleeve_length", "1", 0.0, 1.0),
+    range("body_length", "1", 0.0, 1.0),
+    range("looseness", "m", 0.0, 0.05),
+    range("neckline", "1", 0.0, 1.0),
+];
+
+/// Axes of [`LowerStyle`], in the order of its fields.
+pub const LOWER_RANGES: [StyleRange; 3] =
+    [range("leg_length", "1", 0.0, 1.0), range("looseness", "m", 0.0, 0.05), range("rise", "1", 0.0, 1.0)];
+
+impl GarmentKind {
+    /// Axes of its style space.
+    pub fn ranges(self) -> &'static [StyleRange] {
+        match self {
+            Self::Upper => &UPPER_RANGES,
+            Self::Lower => &LOWER_RANGES,
+        }
+    }
+}
+
+impl Style {
+    /// What it is a style of.
+    pub fn kind(&self) -> GarmentKind {
+        match self {
+            Self::Upper(_) => GarmentKind::Upper,
+            Self::Lower(_) => GarmentKind::Lower,
+        }
+    }
+    /// Values in the order of [`GarmentKind::ranges`].
+    pub fn values(&self) -> Vec<f64> {
+        match self {
+            Self::Upper(s) => vec![s.sleeve_length, s.body_length, s.looseness, s.neckline],
+            Self::Lower(s) => vec![s.leg_length, s.looseness, s.rise],
+        }
+    }
+    /// The style with these values.
+    ///
+    /// # Errors
+    /// [`Error::Length`] for a wrong count, [`Error::Parameter`] for a value outside its range (NaN too).
+    pub fn from_values(kind: GarmentKind, values: &[f64]) -> Result<Self> {
+        let ranges = kind.ranges();
+        Error::check_length("values of a garment style", ranges.len(), values.len())?;
+        let style = match (kind, values) {
+            (GarmentKind::Upper, &[sleeve_length, body_length, looseness, neckline]) => {
+                Self::Upper(UpperStyle { sleeve_length, body_length, looseness, neckline })
+            }
+            (_, &[leg_length, looseness, rise, ..]) => Self::Lower(LowerStyle { leg_length, looseness, rise }),
+            _ => return Err(Error::Length { what: "values of a garment style".into(), expected: 3, got: values.len() }),
+        };
+        style.check()?;
+        Ok(style)
+    }
+    /// Checks that every value lies in its range.
+    ///
+    /// # Errors
+    /// [`Error::Parameter`] with the value and its range.
+    pub fn check(&self) -> Result<()> {
+        for (value, r) in self.values().into_iter().zip(self.kind().ranges()) {
+            if !(value >= r.lower && value <= r.upper) {
+                return Err(Error::Parameter {
+                    name: r.name.into(),
+                    value,
+                    lower: r.lower,
+                    upper: r.upper,
+                    unit: r.unit.into(),
+                });
+            }
+        }
+        Ok(())
+    }
+    /// From coordinates in [0, 1] per axis; values outside are brought to the nearest bound.
+    pub fn from_unit(kind: GarmentKind, unit: &[f64]) -> Result<Self> {
+        let ranges = kind.ranges();
+        Error::check_length("coordinates of a garment style", ranges.len(), unit.len())?;
+        let values: Vec<f64> =
+            unit.iter().zip(ranges).map(|(u, r)| r.lower + u.clamp(0.0, 1.0) * (r.upper - r.lower)).collect();
+        Self::from_values(kind, &values)
+    }
+    /// Coordinates in [0, 1] per axis.
+    pub fn to_unit(&self) -> Vec<f64> {
+        self.values().iter().zip(self.kind().ranges()).map(|(v, r)| (v - r.lower) / (r.upper - r.lower)).collect()
+    }
+}
+
+/// `count` styles that fill the style space evenly (a Halton sequence, shifted by the seed); the same for the same seed, and the
+/// first n of a longer row are the row of n.
+pub fn sample_styles(kind: GarmentKind, count: usize, seed: u64) -> Vec<Style> {
+    const BASES: [u64; 4] = [2, 3, 5, 7];
+    let dimensions = kind.ranges().len();
+    let shift: Vec<f64> = (0..dimensions as u64)
+        .map(|d| {
+            // SplitMix64: one well-mixed number per seed and axis.
+            let mut x = seed.wrapping_add((d + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+            x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+            x = (x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+            ((x ^ (x >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        })
+        .collect();
+    (1..=count as u64)
+        .filter_map(|i| {
+            let unit: Vec<f64> =
+                (0..dimensions).map(|d| (radical_inverse(i, BASES[d % BASES.len()]) + shift[d]).fract()).collect();
+            Style::from_unit(kind, &unit).ok()
+        })
+        .collect()
+}
+
+fn radical_inverse(mut i: u64, base: u64) -> f64 {
+    let (mut value, mut digit) = (0.0, 1.0 / base as f64);
+    while i > 0 {
+        value += (i % base) as f64 * digit;
+        i /= base;
+        digit /= base as f64;
+    }
+    value
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_fill_every_axis_and_repeat() {
+        for kind in [GarmentKind::Upper, GarmentKind::Lower] {
+            let styles = sample_styles(kind, 60, 7);
+            assert_eq!(styles, sample_styles(kind, 60, 7));
+            assert_ne!(styles, sample_styles(kind, 60, 8));
+            assert_eq!(styles[..10], sample_styles(kind, 10, 7));
+            for axis in 0..kind.ranges().len() {
+                let mut u: Vec<f64> = styles.iter().map(|s| s.to_unit()[axis]).collect();
+                u.sort_by(f64::total_cmp);
+                // A shifted Halton row of 60 in base 7 leaves no gap above 2/49.
+                assert!(u[0] < 0.05 && u[59] > 0.95 && u.windows(2).all(|w| w[1] - w[0] < 0.05), "{kind:?} {axis}");
+            }
+        }
+    }
+
+    #[test]
+    fn values_outside_their_range_are_named() {
+        let text = Style::from_values(GarmentKind::Upper, &[0.5, 1.5, 0.01, 0.0]).unwrap_err().to_string();
+        assert!(text.contains("body_length") && text.contains("1.5") && text.contains("[0, 1]"), "{text}");
+        assert!(Style::from_values(GarmentKind::Lower, &[0.5, f64::NAN, 0.0]).is_err());
+        assert!(Style::from_values(GarmentKind::Lower, &[0.5]).is_err());
+        let style = Style::from_values(GarmentKind::Lower, &[0.5, 0.02, 0.25]).unwrap();
+        let back = Style::from_unit(GarmentKind::Lower, &style.to_unit()).unwrap();
+        assert!(style.values().iter().zip(back.values()).all(|(a, b)| (a - b).abs() < 1e-12));
+    }
+}
