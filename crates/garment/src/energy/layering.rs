@@ -111,8 +111,10 @@ impl<T: Real> Layering<T> {
             .map(|frame| {
                 let (block, lane) = (frame / lanes, frame % lanes);
                 let points = |f: &Frames<T>| lane_points(f, block, lane);
-                let answer = self.frame(&points(xu), &points(xl), &points(&normals), T::of(weight));
-                check_energy("layering", xu, block, lane, answer.0)?;
+                let (upper, lower) = (points(xu), points(xl));
+                let answer = self.frame(&upper, &lower, &points(&normals), T::of(weight));
+                let culprit = if lower.iter().flatten().all(|c| c.is_finite()) { xu } else { xl };
+                check_energy("layering", culprit, block, lane, answer.0)?;
                 Ok(answer)
             })
             .collect();
@@ -156,7 +158,8 @@ impl<T: Real> Layering<T> {
             let (p, n) = (lower[l as usize], normals[l as usize]);
             let normal = n[0] * (x[0] - p[0]) + n[1] * (x[1] - p[1]) + n[2] * (x[2] - p[2]);
             let depth = margin - sign * normal;
-            if !(depth > T::zero()) {
+            // Not written as its opposite: NaN must reach the energy and be found out.
+            if depth <= T::zero() {
                 continue;
             }
             debug_assert!(square == square_distance(x, &p));

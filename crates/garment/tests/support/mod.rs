@@ -11,22 +11,22 @@ use std::path::PathBuf;
 
 /// Constant membrane and bending stiffness: ψ = μ tr G² + λ/2 tr² G [N/m], k [N·m].
 #[derive(Debug, Clone)]
-pub struct Fabric {
+pub(crate) struct Fabric {
     /// λ t [N/m].
-    pub lambda: f64,
+    pub(crate) lambda: f64,
     /// μ t [N/m].
-    pub mu: f64,
+    pub(crate) mu: f64,
     /// Bending stiffness of Eq. 7 [N·m]; the fold adds `slope` times its square.
-    pub bending: f64,
+    pub(crate) bending: f64,
     /// Share by which k grows with fold² (0 for a constant).
-    pub slope: f64,
+    pub(crate) slope: f64,
     /// Rule for the edge length.
-    pub length: HingeLength,
+    pub(crate) length: HingeLength,
 }
 
 impl Fabric {
     /// SNUG's constants (reference/snug_maths.md).
-    pub fn snug() -> Self {
+    pub(crate) fn snug() -> Self {
         let (young, poisson, thickness) = (0.7e5, 0.485, 0.47e-3);
         Self {
             lambda: young * poisson / (1.0 - poisson * poisson) * thickness,
@@ -111,7 +111,7 @@ impl MaterialModel for Fabric {
 }
 
 /// The folder of reference numbers, or a loud skip.
-pub fn reference(file: &str) -> Option<PathBuf> {
+pub(crate) fn reference(file: &str) -> Option<PathBuf> {
     let shared = std::env::var_os("CAPHY_SHARED")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")), PathBuf::from);
     let path = shared.join("reference").join(file);

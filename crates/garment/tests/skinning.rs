@@ -1,0 +1,156 @@
+//! Garment skinning: against the body's own blend, its vector-Jacobian product, weights.
+
+use caphy_core::body::BlendWeights;
+use caphy_core::lanes::Frames;
+use caphy_core::{Real, Vec3};
+use caphy_garment::skinning::{Skinner, WeightOptions, garment_weights, nearest_weights, smoothed_weights};
+use nalgebra::{Isometry3, Matrix3x4};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const BLOCKS: usize = 2;
+const WINDOWS: usize = 3;
+
+struct Case {
+    template: Vec<Vec3>,
+    weights: BlendWeights,
+    transforms: Vec<Vec<Matrix3x4<f64>>>,
+    displacement: Vec<f64>,
+}
+
+fn case() -> Case {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let mut point = || Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+    let template: Vec<Vec3> = (0..37).map(|_| point()).collect();
+    let transforms = (0..BLOCKS * WINDOWS)
+        .map(|_| {
+            (0..9)
+                .map(|_| Isometry3::new(point(), point() * 3.0).to_homogeneous().fixed_rows::<3>(0).into_owned())
+                .collect()
+        })
+        .collect();
+    let displacement = (0..BLOCKS * WINDOWS * 37).flat_map(|_| (point() * 0.05).data.0[0]).collect();
+    // Joint 0 and 5 move nothing.
+    let weights = BlendWeights::from_rows((0..37).map(|v| match v % 3 {
+        0 => vec![(8u16, 1.0)],
+        1 => vec![(1, 0.25), (4, 0.75)],
+        _ => vec![(2, 0.2), (3, 0.3), (6, 0.1), (7, 0.4)],
+    }));
+    Case { template, weights, transforms, displacement }
+}
+
+fn views(case: &Case) -> Vec<&[Matrix3x4<f64>]> {
+    case.transforms.iter().map(Vec::as_slice).collect()
+}
+
+fn forward_agrees<T: Real>(tolerance: f64) {
+    let case = case();
+    let skinner = Skinner::<T>::new(&case.template, &case.weights).unwrap();
+    assert_eq!(skinner.joints(), [1, 2, 3, 4, 6, 7, 8]);
+    let joints = skinner.joint_frames(&views(&case), WINDOWS).unwrap();
+    let dv: Vec<T> = case.displacement.iter().map(|d| T::of(*d)).collect();
+    let mut out = Frames::zeros(BLOCKS, 37, WINDOWS);
+    skinner.forward(&joints, Some(&dv), &mut out).unwrap();
+    for frame in 0..BLOCKS * WINDOWS {
+        for v in 0..37 {
+            let d = Vec3::from_column_slice(&case.displacement[(frame * 37 + v) * 3..][..3]);
+            let expected = case.weights.blend(v, &case.transforms[frame]) * (case.template[v] + d).push(1.0);
+            let got = out.get(frame / WINDOWS, frame % WINDOWS, v);
+            assert!((got - expected).norm() < tolerance, "frame {frame} vertex {v}: {got} {expected}");
+        }
+    }
+    // Spare lanes repeat the last window.
+    assert_eq!(out.data()[WINDOWS - 1], out.data()[T::LANES - 1]);
+    // A selection gives the same points; without dV it is the skinned template.
+    let chosen = skinner.select(&[5, 30, 1]).unwrap();
+    let mut some = Frames::zeros(BLOCKS, 3, WINDOWS);
+    chosen.forward(&joints, None, &mut some).unwrap();
+    let mut all = Frames::zeros(BLOCKS, 37, WINDOWS);
+    skinner.forward(&joints, None, &mut all).unwrap();
+    assert_eq!(some.get(1, 2, 1), all.get(1, 2, 30));
+    assert!(skinner.select(&[37]).is_err());
+}
+
+#[test]
+fn forward_is_the_blend_of_the_body() {
+    forward_agrees::<f64>(1e-13);
+    forward_agrees::<f32>(3e-6);
+}
+
+#[test]
+fn the_product_with_the_jacobian_is_its_transpose() {
+    // The forward pass is affine in dV: <g, forward(d) − forward(0)> = <vjp(g), d> exactly.
+    let case = case();
+    let skinner = Skinner::<f64>::new(&case.template, &case.weights).unwrap();
+    let joints = skinner.joint_frames(&views(&case), WINDOWS).unwrap();
+    let (mut with, mut without) = (Frames::zeros(BLOCKS, 37, WINDOWS), Frames::zeros(BLOCKS, 37, WINDOWS));
+    skinner.forward(&joints, Some(&case.displacement), &mut with).unwrap();
+    skinner.forward(&joints, None, &mut without).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    let mut g = Frames::zeros(BLOCKS, 37, WINDOWS);
+    let mut left = 0.0;
+    for frame in 0..BLOCKS * WINDOWS {
+        let (b, l) = (frame / WINDOWS, frame % WINDOWS);
+        for v in 0..37 {
+            let cotangent = Vec3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+            g.set(b, l, v, &cotangent);
+            left += cotangent.dot(&(with.get(b, l, v) - without.get(b, l, v)));
+        }
+    }
+    let mut back = vec![f64::NAN; case.displacement.len()];
+    skinner.vjp(&joints, &g, &mut back).unwrap();
+    let right: f64 = back.iter().zip(&case.displacement).map(|(a, b)| a * b).sum();
+    assert!((left - right).abs() < 1e-12 * left.abs(), "{left} {right}");
+}
+
+#[test]
+fn threads_do_not_change_bits_and_wrong_shapes_are_refused() {
+    let case = case();
+    let skinner = Skinner::<f32>::new(&case.template, &case.weights).unwrap();
+    let joints = skinner.joint_frames(&views(&case), WINDOWS).unwrap();
+    let dv: Vec<f32> = case.displacement.iter().map(|d| *d as f32).collect();
+    let run = |threads: usize| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
+            let mut out = Frames::zeros(BLOCKS, 37, WINDOWS);
+            skinner.forward(&joints, Some(&dv), &mut out).unwrap();
+            out
+        })
+    };
+    assert!(run(1) == run(2));
+    let mut out = Frames::zeros(BLOCKS, 37, WINDOWS);
+    assert!(skinner.forward(&joints, Some(&dv[1..]), &mut out).is_err());
+    assert!(skinner.forward(&joints, None, &mut Frames::zeros(BLOCKS, 36, WINDOWS)).is_err());
+    assert!(skinner.vjp(&joints, &out, &mut [0.0; 4]).is_err());
+    assert!(skinner.joint_frames(&views(&case), 17).is_err());
+    assert!(skinner.joint_frames(&views(&case), 4).is_err());
+    assert!(skinner.joint_frames(&[&case.transforms[0][..3]], 1).is_err());
+    assert!(Skinner::<f32>::new(&case.template[1..], &case.weights).is_err());
+}
+
+#[test]
+fn smoothing_keeps_sums_and_softens_a_jump() {
+    // A strip of 2 x 20 whose body halves belong to different joints.
+    let template: Vec<Vec3> = (0..40).map(|i| Vec3::new((i / 2) as f64 * 0.01, (i % 2) as f64 * 0.01, 0.0)).collect();
+    let faces: Vec<[u32; 3]> =
+        (0..19).flat_map(|i| [[2 * i, 2 * i + 1, 2 * i + 2], [2 * i + 2, 2 * i + 1, 2 * i + 3]]).collect();
+    let body: Vec<Vec3> = template.iter().map(|p| p + Vec3::new(0.001, 0.0, 0.005)).collect();
+    let rows = (0..40).map(|i| vec![(if i < 20 { 4u16 } else { 9 }, 1.0)]);
+    let body_weights = BlendWeights::from_rows(rows);
+    let hard = nearest_weights(&template, &body, &body_weights).unwrap();
+    assert_eq!(hard, body_weights);
+    let none = WeightOptions { smoothing: 0, ..Default::default() };
+    assert_eq!(garment_weights(&template, &faces, &body, &body_weights, &none).unwrap(), hard);
+    let soft = garment_weights(&template, &faces, &body, &body_weights, &WeightOptions::default()).unwrap();
+    let share = |v: usize| soft.row(v).find(|e| e.0 == 9).map_or(0.0, |e| e.1);
+    for v in 0..40 {
+        assert!((soft.row(v).map(|e| e.1).sum::<f64>() - 1.0).abs() < 1e-12);
+    }
+    for v in 0..38 {
+        assert!(share(v + 2) >= share(v) && share(v + 2) - share(v) < 0.2, "{v}");
+    }
+    assert!(share(0) < 0.2 && share(39) > 0.8);
+    assert!(nearest_weights(&template, &[], &BlendWeights::from_rows([])).is_err());
+    assert!(nearest_weights(&template, &body[1..], &body_weights).is_err());
+    assert!(smoothed_weights(&hard, &[[0, 1, 40]], &WeightOptions::default()).is_err());
+    assert!(smoothed_weights(&hard, &faces, &WeightOptions { step: 1.5, ..Default::default() }).is_err());
+}
