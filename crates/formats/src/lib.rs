@@ -4,7 +4,9 @@
 //! returns bytes. Damaged input gives a [`caphy_core::Error::Format`] that names the file, the element and the remedy:
 //! never a panic, and never an allocation on the word of a header alone.
 
+pub mod glb;
 pub mod motion;
 pub mod npz;
 pub mod obj;
 pub mod ply;
+pub mod weights;

@@ -1,0 +1,350 @@
+//! Binary glTF 2.0 (`.glb`): still meshes, meshes with a position per frame, skinned bodies.
+//!
+//! A garment's frames become one morph target each, with weights that walk through them: every viewer plays that. The
+//! body is skinned by its joints (glTF has no pose correctives: near bent joints it differs from the body model by them).
+
+mod buffer;
+
+use buffer::Buffer;
+use caphy_core::mesh::vertex_normals;
+use caphy_core::pose::Pose;
+use caphy_core::{Error, Result, TriMesh, Vec3};
+use nalgebra::UnitQuaternion;
+use serde_json::{Value, json};
+
+/// What goes into one file.
+#[derive(Debug, Clone)]
+pub struct GlbScene<'a> {
+    /// Frames per second of everything that moves.
+    pub fps: f64,
+    /// What happens between frames.
+    pub interpolation: GlbInterpolation,
+    /// The meshes.
+    pub meshes: Vec<GlbMesh<'a>>,
+}
+
+/// What happens between frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum GlbInterpolation {
+    /// A frame stays until the next.
+    Step,
+    /// Straight ways of vertices, shortest arcs of joints.
+    Linear,
+}
+
+/// A mesh of the scene.
+#[derive(Debug, Clone)]
+pub struct GlbMesh<'a> {
+    /// Name shown by viewers.
+    pub name: String,
+    /// Rest mesh [m], y up.
+    pub mesh: &'a TriMesh,
+    /// Colour.
+    pub colour: GlbColour<'a>,
+    /// Motion.
+    pub motion: GlbMotion<'a>,
+}
+
+/// Colour of a mesh, sRGB.
+#[derive(Debug, Clone, Copy)]
+pub enum GlbColour<'a> {
+    /// One colour.
+    Uniform([u8; 3]),
+    /// A colour per vertex, shape [vertex_count].
+    PerVertex(&'a [[u8; 3]]),
+}
+
+/// Motion of a mesh.
+#[derive(Debug, Clone, Copy)]
+pub enum GlbMotion<'a> {
+    /// None.
+    Still,
+    /// Vertex positions [m], shape [frame_count][vertex_count].
+    Vertices(&'a [Vec<Vec3>]),
+    /// Linear blend skinning.
+    Skinned(GlbSkin<'a>),
+}
+
+/// Skinning of a mesh; the mesh's vertices are the rest pose.
+#[derive(Debug, Clone, Copy)]
+pub struct GlbSkin<'a> {
+    /// Joint names, shape [joint_count].
+    pub names: &'a [&'a str],
+    /// Parent of each joint, before its children; the first is the root (its entry is ignored). Shape [joint_count].
+    pub parents: &'a [usize],
+    /// Rest positions of the joints [m], shape [joint_count].
+    pub joints: &'a [Vec3],
+    /// Weights, shape [vertex_count, joint_count]; the four largest of each vertex are kept and scaled to sum 1.
+    pub weights: &'a [f64],
+    /// One pose per frame, with `joint_count` rotations.
+    pub poses: &'a [Pose],
+}
+
+/// Writes the scene.
+///
+/// # Errors
+/// [`Error::Length`] and [`Error::NonFinite`] naming mesh and array; [`Error::Mesh`] for an empty mesh, no frames, an
+/// unordered joint tree, a vertex without weights; [`Error::Numerics`] for a frame rate that is not positive or a file
+/// of over 4 GiB, which the format cannot hold.
+pub fn write_glb(scene: &GlbScene) -> Result<Vec<u8>> {
+    if !(scene.fps.is_finite() && scene.fps > 0.0) {
+        let problem = format!("frame rate {} 1/s", scene.fps);
+        return Err(Error::numerics("GLB scene", problem, "give a positive frame rate"));
+    }
+    if scene.meshes.is_empty() {
+        return Err(Error::numerics("GLB scene", "has no meshes", "give at least one"));
+    }
+    let mut w = Writer { scene, buffer: Buffer::default(), nodes: vec![], roots: vec![], parts: Parts::default() };
+    for mesh in &scene.meshes {
+        w.mesh(mesh)?;
+    }
+    w.finish()
+}
+
+#[derive(Default)]
+struct Parts {
+    meshes: Vec<Value>,
+    materials: Vec<Value>,
+    skins: Vec<Value>,
+    samplers: Vec<Value>,
+    channels: Vec<Value>,
+}
+
+struct Writer<'a> {
+    scene: &'a GlbScene<'a>,
+    buffer: Buffer,
+    nodes: Vec<Value>,
+    roots: Vec<usize>,
+    parts: Parts,
+}
+
+impl Writer<'_> {
+    fn mesh(&mut self, item: &GlbMesh) -> Result<()> {
+        let (name, mesh) = (&item.name, item.mesh);
+        mesh.check(name)?;
+        let vertex_count = mesh.vertices.len();
+        if vertex_count == 0 || mesh.faces.is_empty() {
+            return Err(Error::mesh(name, "whole mesh", "has no faces", "leave it out of the scene"));
+        }
+        let normals = unit_normals(&mesh.vertices, &mesh.faces);
+        let mut attributes = serde_json::Map::new();
+        attributes.insert("POSITION".into(), self.buffer.positions(&mesh.vertices).into());
+        attributes.insert("NORMAL".into(), self.buffer.normals(&normals).into());
+        // glTF colours are linear; white is the factor that leaves vertex colours as they are.
+        let base = match item.colour {
+            GlbColour::Uniform(colour) => colour.map(linear),
+            GlbColour::PerVertex(colours) => {
+                Error::check_length(&format!("mesh `{name}`, vertex colours"), vertex_count, colours.len())?;
+                attributes.insert("COLOR_0".into(), self.buffer.colours(colours).into());
+                [1.0; 3]
+            }
+        };
+        let material = self.parts.materials.len();
+        self.parts.materials.push(json!({
+            "name": name,
+            "doubleSided": true,
+            "pbrMetallicRoughness": {
+                "baseColorFactor": [base[0], base[1], base[2], 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9
+            }
+        }));
+        if let GlbMotion::Skinned(skin) = &item.motion {
+            check_skin(name, skin, vertex_count)?;
+            let (ids, weights) = self.buffer.influences(name, skin.weights, skin.joints.len())?;
+            attributes.insert("JOINTS_0".into(), ids.into());
+            attributes.insert("WEIGHTS_0".into(), weights.into());
+        }
+        let mut primitive = json!({
+            "attributes": attributes, "indices": self.buffer.indices(&mesh.faces), "material": material
+        });
+        let mesh_id = self.parts.meshes.len();
+        let node = self.nodes.len();
+        self.roots.push(node);
+        self.nodes.push(json!({ "name": name, "mesh": mesh_id }));
+        let mut entry = json!({ "name": name });
+        match &item.motion {
+            GlbMotion::Still => {}
+            GlbMotion::Vertices(frames) => {
+                let mut targets = Vec::with_capacity(frames.len());
+                for (frame, vertices) in frames.iter().enumerate() {
+                    let what = || format!("mesh `{name}`, frame {frame}");
+                    Error::check_length(&what(), vertex_count, vertices.len())?;
+                    for (v, p) in vertices.iter().enumerate() {
+                        Error::check_finite(&format!("{}, vertex {v}", what()), p.as_slice())?;
+                    }
+                    let turned = unit_normals(vertices, &mesh.faces);
+                    let minus = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<_>>();
+                    targets.push(json!({
+                        "POSITION": self.buffer.positions(&minus(vertices, &mesh.vertices)),
+                        "NORMAL": self.buffer.normals(&minus(&turned, &normals))
+                    }));
+                }
+                primitive["targets"] = targets.into();
+                // A viewer that does not animate shows the first frame.
+                let one_hot = |frame: usize| (0..frames.len()).map(move |k| if k == frame { 1.0 } else { 0.0 });
+                entry["weights"] = one_hot(0).collect::<Vec<f64>>().into();
+                let input = self.times(name, frames.len())?;
+                let output = self.buffer.scalars((0..frames.len()).flat_map(one_hot));
+                self.channel(node, "weights", input, output);
+            }
+            GlbMotion::Skinned(skin) => self.skin(name, skin, node)?,
+        }
+        entry["primitives"] = json!([primitive]);
+        self.parts.meshes.push(entry);
+        Ok(())
+    }
+
+    fn skin(&mut self, name: &str, skin: &GlbSkin, mesh_node: usize) -> Result<()> {
+        let first = self.nodes.len();
+        let count = skin.joints.len();
+        for joint in 0..count {
+            let offset =
+                if joint == 0 { skin.joints[0] } else { skin.joints[joint] - skin.joints[skin.parents[joint]] };
+            let mut node = json!({ "name": skin.names[joint], "translation": [offset.x, offset.y, offset.z] });
+            let children: Vec<usize> = (1..count).filter(|&c| skin.parents[c] == joint).map(|c| first + c).collect();
+            if !children.is_empty() {
+                node["children"] = children.into();
+            }
+            self.nodes.push(node);
+        }
+        self.roots.push(first);
+        let skin_id = self.parts.skins.len();
+        self.nodes[mesh_node]["skin"] = skin_id.into();
+        let joints: Vec<usize> = (first..first + count).collect();
+        self.parts.skins.push(json!({
+            "name": name, "joints": joints, "skeleton": first,
+            "inverseBindMatrices": self.buffer.inverse_bind_matrices(skin.joints)
+        }));
+
+        let input = self.times(name, skin.poses.len())?;
+        // The root turns about its own rest position, then the body moves: as a node, rest position plus translation.
+        let way: Vec<Vec3> = skin.poses.iter().map(|p| skin.joints[0] + p.translation).collect();
+        let output = self.buffer.translations(&way);
+        self.channel(first, "translation", input, output);
+        for joint in 0..count {
+            // Most joints of most clips (face, fingers) rest: no channel is smaller than a constant one.
+            if skin.poses.iter().all(|p| p.rotations[joint] == Vec3::zeros()) {
+                continue;
+            }
+            let mut last = UnitQuaternion::identity();
+            let turns: Vec<UnitQuaternion<f64>> = skin
+                .poses
+                .iter()
+                .map(|p| {
+                    let q = UnitQuaternion::from_scaled_axis(p.rotations[joint]);
+                    // q and -q are the same turn: the nearer one keeps curves smooth in editors.
+                    last = if q.coords.dot(&last.coords) < 0.0 { UnitQuaternion::new_unchecked(-*q) } else { q };
+                    last
+                })
+                .collect();
+            let output = self.buffer.quaternions(&turns);
+            self.channel(first + joint, "rotation", input, output);
+        }
+        Ok(())
+    }
+
+    fn times(&mut self, name: &str, frames: usize) -> Result<usize> {
+        if frames == 0 {
+            return Err(Error::mesh(name, "motion", "has no frames", "make the mesh a still one"));
+        }
+        Ok(self.buffer.times(frames, self.scene.fps))
+    }
+
+    fn channel(&mut self, node: usize, path: &str, input: usize, output: usize) {
+        let interpolation = match self.scene.interpolation {
+            GlbInterpolation::Step => "STEP",
+            GlbInterpolation::Linear => "LINEAR",
+        };
+        let sampler = self.parts.samplers.len();
+        self.parts.samplers.push(json!({ "input": input, "output": output, "interpolation": interpolation }));
+        self.parts.channels.push(json!({ "sampler": sampler, "target": { "node": node, "path": path } }));
+    }
+
+    fn finish(self) -> Result<Vec<u8>> {
+        let mut document = json!({
+            "asset": { "version": "2.0", "generator": "caphy" },
+            "scene": 0,
+            "scenes": [{ "nodes": self.roots }],
+            "nodes": self.nodes,
+            "meshes": self.parts.meshes,
+            "materials": self.parts.materials,
+            "buffers": [{ "byteLength": self.buffer.bytes.len() }],
+            "bufferViews": self.buffer.views,
+            "accessors": self.buffer.accessors,
+        });
+        // Empty lists are against the format.
+        if !self.parts.skins.is_empty() {
+            document["skins"] = self.parts.skins.into();
+        }
+        if !self.parts.channels.is_empty() {
+            document["animations"] =
+                json!([{ "name": "motion", "samplers": self.parts.samplers, "channels": self.parts.channels }]);
+        }
+        let mut text = document.to_string().into_bytes();
+        text.resize(text.len().next_multiple_of(4), b' ');
+        // Every accessor is padded to four bytes as it is written.
+        let data = self.buffer.bytes;
+        let total = 12 + 8 + text.len() + 8 + data.len();
+        let Ok(total_32) = u32::try_from(total) else {
+            let problem = format!("{total} bytes, the format holds at most {}", u32::MAX);
+            return Err(Error::numerics("GLB scene", problem, "export fewer frames or an OBJ sequence"));
+        };
+        let mut out = Vec::with_capacity(total);
+        out.extend(b"glTF");
+        out.extend(2u32.to_le_bytes());
+        out.extend(total_32.to_le_bytes());
+        out.extend((text.len() as u32).to_le_bytes());
+        out.extend(b"JSON");
+        out.extend(text);
+        out.extend((data.len() as u32).to_le_bytes());
+        out.extend(b"BIN\0");
+        out.extend(data);
+        Ok(out)
+    }
+}
+
+fn check_skin(name: &str, skin: &GlbSkin, vertex_count: usize) -> Result<()> {
+    let count = skin.joints.len();
+    let what = |array: &str| format!("mesh `{name}`, {array}");
+    Error::check_length(&what("joint names"), count, skin.names.len())?;
+    Error::check_length(&what("joint parents"), count, skin.parents.len())?;
+    Error::check_length(&what("weights"), vertex_count.saturating_mul(count), skin.weights.len())?;
+    Error::check_finite(&what("weights"), skin.weights)?;
+    if count == 0 || count > usize::from(u16::MAX) {
+        return Err(Error::mesh(name, "joints", format!("{count} of them"), "1 to 65535 are possible"));
+    }
+    if let Some(joint) = (1..count).find(|&j| skin.parents[j] >= j) {
+        return Err(Error::mesh(
+            name,
+            format!("joint {joint}"),
+            format!("its parent is {}", skin.parents[joint]),
+            "order joints with parents before children, one root first",
+        ));
+    }
+    for (joint, position) in skin.joints.iter().enumerate() {
+        Error::check_finite(&what(&format!("joint {joint}")), position.as_slice())?;
+    }
+    for (frame, pose) in skin.poses.iter().enumerate() {
+        Error::check_length(&what(&format!("frame {frame}, rotations")), count, pose.rotations.len())?;
+        for vector in pose.rotations.iter().chain([&pose.translation]) {
+            Error::check_finite(&what(&format!("frame {frame}")), vector.as_slice())?;
+        }
+    }
+    Ok(())
+}
+
+/// Vertex normals of unit length; up for a vertex without area, since the format allows no zero.
+fn unit_normals(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<Vec3> {
+    let mut normals = vertex_normals(vertices, faces);
+    for n in &mut normals {
+        if *n == Vec3::zeros() {
+            *n = Vec3::y();
+        }
+    }
+    normals
+}
+
+/// Linear intensity of an sRGB channel (IEC 61966-2-1).
+fn linear(channel: u8) -> f64 {
+    let c = f64::from(channel) / 255.0;
+    if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
+}
