@@ -161,3 +161,120 @@ fn two_poses_and_one_shape_from_nothing() {
     }
     println!("{:?}", fit.report);
 }
+
+#[test]
+fn from_thirty_degrees_off_through_holes_and_outliers() {
+    let figure = Figure::new();
+    let truth = walk(&figure);
+    let shape = [-0.6, 0.5];
+    let d = figure.describe();
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let holes = [
+        (d.joint("left_knee").unwrap(), 0.12),
+        (d.joint("spine3").unwrap(), 0.1),
+        (d.joint("right_elbow").unwrap(), 0.1),
+    ];
+    let trials = 4;
+    let mut good = 0;
+    for seed in 0..trials {
+        let points = scan(&figure, &shape, &truth, seed, 0.05, &holes);
+        let mut start = truth.clone();
+        // 30° about a random axis at every joint that a scan determines; half of that along the spine, where errors add up.
+        for (j, joint) in d.joints.iter().enumerate() {
+            let angle: f64 = match joint.name.rsplit('_').next().unwrap() {
+                "hip" | "knee" | "shoulder" | "elbow" | "pelvis" | "ankle" | "wrist" => 30.0,
+                _ => 10.0,
+            };
+            let axis = Vec3::from_fn(|_, _| rng.random::<f64>() - 0.5).normalize();
+            start.rotations[j] += axis * angle.to_radians();
+        }
+        start.translation += Vec3::new(0.05, -0.05, 0.05);
+        let input = [RegistrationScan { name: "walk", points: &points, start: Some(start) }];
+        let fit = register(&figure, &input, &RegistrationSettings::default(), &|_| {}).unwrap();
+        let e = joint_errors(&figure, (&fit.shape, &fit.poses[0]), (&shape, &truth));
+        println!("joint errors median {:.1} mm, max {:.1} mm", 1e3 * e[e.len() / 2], 1e3 * e[e.len() - 1]);
+        good += u64::from(e[e.len() / 2] < 0.01 && e[e.len() - 1] < 0.04);
+    }
+    assert!(good + 1 >= trials, "{good} of {trials} starts found the pose");
+}
+
+#[test]
+fn a_person_who_faces_away_is_found() {
+    let figure = Figure::new();
+    let mut truth = walk(&figure);
+    truth.rotations[0] = Vec3::new(0.0, 200f64.to_radians(), 0.0);
+    let points = scan(&figure, &[0.0, 0.0], &truth, 3, 0.0, &[]);
+    let input = [RegistrationScan { name: "back", points: &points, start: None }];
+    let fit = register(&figure, &input, &RegistrationSettings::default(), &|_| {}).unwrap();
+    let e = joint_errors(&figure, (&fit.shape, &fit.poses[0]), (&[0.0, 0.0], &truth));
+    assert!(e[e.len() / 2] < 0.01 && e[e.len() - 1] < 0.03, "{e:?}");
+}
+
+#[test]
+fn cloth_bounds_and_does_not_attract() {
+    // Clothes 25 mm wide, deeper than the expected 8 mm but allowed: bare skin must decide.
+    let figure = Figure::new();
+    let truth = walk(&figure);
+    let mut points = scan(&figure, &[0.0, 0.0], &truth, 5, 0.0, &[]);
+    for i in 0..points.points.len() {
+        if points.labels[i] != Label::Body {
+            points.points[i] += points.normals[i] * 0.015;
+        }
+    }
+    let input = [RegistrationScan { name: "wide", points: &points, start: None }];
+    let fit = register(&figure, &input, &RegistrationSettings::default(), &|_| {}).unwrap();
+    let e = joint_errors(&figure, (&fit.shape, &fit.poses[0]), (&[0.0, 0.0], &truth));
+    assert!(e[e.len() / 2] < 0.015, "{e:?}");
+    assert!(fit.report[0].inside_share > 0.97 && fit.report[0].cloth_depth_mm > 12.0, "{:?}", fit.report);
+}
+
+#[test]
+fn the_same_bits_on_any_thread_count() {
+    let figure = Figure::new();
+    let scans = [
+        scan(&figure, &[0.3, 0.0], &walk(&figure), 1, 0.02, &[]),
+        scan(&figure, &[0.3, 0.0], &walk(&figure), 2, 0.0, &[]),
+    ];
+    let input: Vec<_> =
+        scans.iter().map(|points| RegistrationScan { name: "s", points, start: Some(walk(&figure)) }).collect();
+    let settings = RegistrationSettings { iterations: 4, start_iterations: 2, ..RegistrationSettings::default() };
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| register(&figure, &input, &settings, &|_| {}).unwrap())
+    };
+    assert_eq!(run(1), run(3));
+}
+
+#[test]
+fn bad_input_is_refused_with_its_place() {
+    let figure = Figure::new();
+    let good = scan(&figure, &[], &walk(&figure), 1, 0.0, &[]);
+    let settings = RegistrationSettings::default();
+    let run = |points: &LabelledPoints, start: Option<Pose>, settings: &RegistrationSettings| {
+        register(&figure, &[RegistrationScan { name: "take 3", points, start }], settings, &|_| {})
+            .unwrap_err()
+            .to_string()
+    };
+    let mut bad = good.clone();
+    bad.labels.pop();
+    assert!(run(&bad, None, &settings).contains("labels of scan `take 3`"));
+    bad = good.clone();
+    bad.points.iter_mut().for_each(|p| p.y = f64::NAN);
+    assert!(run(&bad, None, &settings).contains("take 3"));
+    bad = good.clone();
+    bad.labels.fill(Label::Ignore);
+    assert!(run(&bad, None, &settings).contains("0 of"));
+    assert!(run(&good, Some(Pose::rest(3)), &settings).contains("start pose of scan `take 3`"));
+    let zero = RegistrationSettings { skin_sigma: 0.0, ..settings.clone() };
+    assert!(run(&good, None, &zero).contains("registration.skin_sigma"));
+    assert!(toml::from_str::<RegistrationSettings>("iteration = 3").unwrap_err().to_string().contains("iterations"));
+    // Single bad points are only left out; no scans at all is an answer.
+    bad = good.clone();
+    bad.points[5].x = f64::INFINITY;
+    bad.normals[6] = Vec3::repeat(f64::NAN);
+    let few = RegistrationSettings { iterations: 1, start_iterations: 1, ..settings.clone() };
+    let input = [RegistrationScan { name: "take 3", points: &bad, start: Some(walk(&figure)) }];
+    let fit = register(&figure, &input, &few, &|_| {}).unwrap();
+    assert!(fit.shape.iter().all(|s| s.is_finite()));
+    assert!(register(&figure, &[], &settings, &|_| {}).unwrap().poses.is_empty());
+}

@@ -29,7 +29,7 @@ use caphy_core::{Error, Result, Vec3};
 use prior::Group;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use solve::{Level, Problem, ScanData, State};
+use solve::{Level, Problem, ScanData, State, TRIAL_END};
 
 /// A scan to fit, with outward normals and labels.
 #[derive(Debug, Clone)]
@@ -38,7 +38,8 @@ pub struct RegistrationScan<'a> {
     pub name: &'a str,
     /// Points [m], y up; normals; labels. Points labelled [`Ignore`](caphy_core::scan::Label::Ignore) are not looked at.
     pub points: &'a LabelledPoints,
-    /// A rough pose, from a keypoint fit say; replaces the search. `None`: only that the person stands upright is known.
+    /// A rough pose, from a keypoint fit say; it joins the poses that are tried. `None`: only that the person stands more or
+    /// less upright is known.
     pub start: Option<Pose>,
 }
 
@@ -113,10 +114,8 @@ pub fn register(
         .par_iter()
         .zip(&data)
         .map(|(scan, data)| {
-            let candidates = match &scan.start {
-                Some(pose) => vec![pose.clone()],
-                None => proxy.search(scan.points, settings.start_headings, settings.start_trials),
-            };
+            let candidates =
+                proxy.search(scan.points, settings.start_headings, settings.start_trials, scan.start.as_ref());
             let best = try_starts(&problem, data, &neutral.shape, candidates);
             let count = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
             progress(0.4 * count as f64 / scans.len() as f64);
@@ -132,11 +131,16 @@ pub fn register(
     }
     let all: Vec<&ScanData> = data.iter().collect();
     let mut last = vec![0.0; scans.len()];
-    for i in 0..settings.iterations {
-        // The first third refines where the trials ended, the last third only converges.
-        let x = (TRIAL_END + (1.0 - TRIAL_END) * 1.5 * i as f64 / settings.iterations as f64).min(1.0);
+    let mut iterations = 0;
+    while iterations < settings.iterations {
+        // Two thirds refine from where the trials ended, the last third only converges.
+        let x = (TRIAL_END + (1.0 - TRIAL_END) * 1.5 * iterations as f64 / settings.iterations as f64).min(1.0);
         last = solve::step(&problem, &all, &mut state, &Level::at(settings, x, Group::End, true))?;
-        progress(0.4 + 0.5 * (i + 1) as f64 / settings.iterations as f64);
+        iterations += 1;
+        progress(0.4 + 0.5 * iterations as f64 / settings.iterations as f64);
+        if x == 1.0 && last.iter().all(|&step| step < CONVERGED) {
+            break;
+        }
     }
     let fine = Level::at(settings, 1.0, Group::End, true);
     let displacement = displacement::displace(&problem, &all, &state, &fine)?;
@@ -152,7 +156,7 @@ pub fn register(
                 skin_found_share: fit.skin_found_share,
                 inside_share: fit.inside_share,
                 cloth_depth_mm: 1e3 * fit.cloth_depth,
-                iterations: settings.iterations,
+                iterations,
                 last_step: last[i],
             })
         })
@@ -161,8 +165,8 @@ pub fn register(
     Ok(Registration { shape: state.shape, poses: state.poses, displacement, report })
 }
 
-/// How far the trials go in the coarse-to-fine schedule.
-const TRIAL_END: f64 = 0.35;
+/// Steps below this [rad or m] are not worth another iteration: 0.3 mm at the end of an arm.
+const CONVERGED: f64 = 5e-4;
 
 /// Runs a short fit from every candidate and keeps the cheapest.
 fn try_starts(problem: &Problem, scan: &ScanData, shape: &[f64], candidates: Vec<Pose>) -> Result<State> {

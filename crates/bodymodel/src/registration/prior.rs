@@ -47,14 +47,16 @@ pub(super) fn joint_priors(body: &BodyDescription) -> Vec<JointPrior> {
                 "hip" => (Group::Limb, [1.0, 0.4, 0.6], None),
                 // Shin backwards only; a knee hardly twists or bends sideways.
                 "knee" => (Group::Limb, [1.2, 0.15, 0.1], Some((0, 1.0))),
-                "shoulder" => (Group::Limb, [0.5, 1.0, 1.2], None),
-                // Forearm forwards only; twist of the forearm is wrist and elbow together.
-                "elbow" => (Group::Limb, [0.4, 1.2, 0.15], Some((1, -side))),
+                // A sleeve does not show twist (about x): hands decide it, through shoulder, elbow and wrist together, against
+                // tight priors; loose ones let the armpit's skinning artefacts twist an arm by 60°.
+                "shoulder" => (Group::Limb, [0.3, 1.0, 1.2], None),
+                // Forearm forwards only.
+                "elbow" => (Group::Limb, [0.25, 1.2, 0.15], Some((1, -side))),
                 "collar" => (Group::Limb, [0.1, 0.2, 0.2], None),
                 "spine1" | "spine2" | "spine3" => (Group::Limb, [0.25, 0.15, 0.15], None),
                 "neck" => (Group::Limb, [0.25, 0.25, 0.2], None),
                 "head" => (Group::End, [0.3, 0.3, 0.2], None),
-                "wrist" => (Group::End, [0.4, 0.3, 0.4], None),
+                "wrist" => (Group::End, [0.3, 0.3, 0.4], None),
                 "ankle" => (Group::End, [0.4, 0.25, 0.25], None),
                 "foot" => (Group::End, [0.15, 0.05, 0.05], None),
                 "jaw" | "eye_smplhf" => (Group::Held, [0.1; 3], None),

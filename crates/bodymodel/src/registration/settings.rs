@@ -19,8 +19,9 @@ pub struct RegistrationSettings {
     pub sample_vertices: usize,
     /// Shape coefficients that are fitted; fewer when the body has fewer (default 10).
     pub shape_coefficients: usize,
-    /// Number of independent residuals in each direction [1] (default 300): neighbouring residuals are correlated over
-    /// about 8 cm on a surface of 2 m², and this many, not `sample_vertices`, are weighed against the priors.
+    /// Number of independent residuals in each direction [1] (default 150): neighbouring residuals are correlated over
+    /// about 8 cm on a surface of 2 m², and both directions see the same surface. This many, not `sample_vertices`, are
+    /// weighed against the priors.
     pub evidence: f64,
     /// Standard deviation of bare skin about the scan [m] (default 4 mm: scan noise and the shape space's misfit).
     pub skin_sigma: f64,
@@ -59,7 +60,7 @@ impl Default for RegistrationSettings {
             start_headings: 4,
             sample_vertices: 1500,
             shape_coefficients: 10,
-            evidence: 300.0,
+            evidence: 150.0,
             skin_sigma: 0.004,
             outside_sigma: 0.004,
             cloth_ease: 0.008,

@@ -148,17 +148,26 @@ impl VertexQuadratics {
                 self.cost += 0.5 * w * (r - pull.target).powi(2);
             }
         }
-        // Far from the solution surfaces must not only touch but also stop sliding.
-        let sideways = total * (0.3 * (1.0 - level.fineness) + 0.02);
-        let tangent = Matrix3::identity() - n * n.transpose();
-        self.add(vertex, tangent * sideways, tangent * (v - p) * sideways);
-        self.cost += 0.5 * sideways * (d * d - r * r).max(0.0);
+        // Far from the solution surfaces must not only touch but also stop sliding. Later that would only hold a limb's
+        // twist, which no smooth surface shows, where it happens to be.
+        let sideways = total * SLIDING * (1.0 - level.fineness / TRIAL_END).max(0.0);
+        if sideways > 0.0 {
+            let tangent = Matrix3::identity() - n * n.transpose();
+            self.add(vertex, tangent * sideways, tangent * (v - p) * sideways);
+            self.cost += 0.5 * sideways * (d * d - r * r).max(0.0);
+        }
     }
     /// A sample without a partner costs as much as one at the edge of the search.
     fn missing(&mut self, settings: &RegistrationSettings, level: &Level, share: f64) {
         self.cost += 0.5 * share * (level.scale / settings.skin_sigma).powi(2) * 0.25;
     }
 }
+
+/// Weight of the distance along the surface against that along the normal, in the first iteration.
+const SLIDING: f64 = 0.3;
+
+/// How far the trials of start poses go in the coarse-to-fine schedule; sliding is free from there on.
+pub(super) const TRIAL_END: f64 = 0.35;
 
 /// Farthest partner, in robust scales: its weight is 1 %.
 const REACH: f64 = 3.0;

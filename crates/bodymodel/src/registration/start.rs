@@ -85,24 +85,44 @@ simd_kernel! {
     }
 }
 
+/// The scan as the search sees it.
+struct Target {
+    points: Vec<Vec3>,
+    cloud: Cloud,
+}
+
+impl Target {
+    fn new(scan: &LabelledPoints) -> Self {
+        let usable = |i: usize| {
+            scan.labels[i] != Label::Ignore
+                && scan.points[i].iter().chain(scan.normals[i].iter()).all(|c| c.is_finite())
+        };
+        let ids: Vec<usize> = (0..scan.points.len()).filter(|&i| usable(i)).collect();
+        let kept: Vec<Vec3> = ids.iter().map(|&i| scan.points[i]).collect();
+        let chosen = spread(&kept, POINTS);
+        let points: Vec<Vec3> = chosen.iter().map(|&i| kept[i as usize]).collect();
+        let normals: Vec<Vec3> = chosen.iter().map(|&i| scan.normals[ids[i as usize]]).collect();
+        Self { cloud: Cloud::new(&points, &normals), points }
+    }
+}
+
 /// Mean capped squared distance, both directions [m²].
-fn misfit(body: &Cloud, scan: &Cloud, weights: &[f32], scratch: &mut [Vec<f32>; 2]) -> f64 {
-    let n = scan.len();
+fn misfit(body: &Cloud, target: &Target, scratch: &mut [Vec<f32>; 2]) -> f64 {
+    let n = target.cloud.len();
     let cap = CAP * CAP;
     let [row, minimum] = scratch;
     row.resize(n, 0.0);
     minimum.clear();
     minimum.resize(n, f32::INFINITY);
-    let slices: [&[f32]; 6] = std::array::from_fn(|k| &scan.coordinates[k][..]);
+    let slices: [&[f32]; 6] = std::array::from_fn(|k| &target.cloud.coordinates[k][..]);
     let mut to_scan = 0.0f64;
     for i in 0..body.len() {
         let point: [f32; 6] = std::array::from_fn(|k| body.coordinates[k][i]);
         distances(&point, &slices, row, minimum);
         to_scan += f64::from(smallest(row).min(cap));
     }
-    let total: f32 = weights.iter().sum();
-    let to_body: f64 = minimum.iter().zip(weights).map(|(d, w)| f64::from(d.min(cap) * w)).sum();
-    to_scan / body.len().max(1) as f64 + to_body / f64::from(total.max(1e-6))
+    let to_body: f64 = minimum.iter().map(|d| f64::from(d.min(cap))).sum();
+    to_scan / body.len().max(1) as f64 + to_body / n.max(1) as f64
 }
 
 /// One limb of the search: its joints and the table of their rotations.
@@ -117,8 +137,15 @@ fn turn(axis: usize, degrees: f64) -> Rotation3<f64> {
     Rotation3::new(v)
 }
 
-/// Arms and legs of a body whose joints have the SMPL-X names; none for others.
-fn limbs(body: &BodyDescription) -> Vec<Limb> {
+/// The rotation of a limb that points along `along` [m] at rest to where `turned` takes it, without twist: twist under a
+/// sleeve is not seen by any scan, so a search must not invent it.
+fn swing(along: &Vec3, turned: &Rotation3<f64>) -> Vec3 {
+    Rotation3::rotation_between(along, &(turned * along)).unwrap_or_else(Rotation3::identity).scaled_axis()
+}
+
+/// Arms and legs of a body whose joints have the SMPL-X names, `rest` [m] its rest joints; none for others.
+fn limbs(body: &BodyDescription, rest: &[Vec3]) -> Vec<Limb> {
+    let along = |joints: [usize; 2]| rest[joints[1]] - rest[joints[0]];
     let mut out = Vec::new();
     for (side, s) in [("left", 1.0), ("right", -1.0)] {
         let pair = |a: &str, b: &str| Some([body.joint(&format!("{side}_{a}"))?, body.joint(&format!("{side}_{b}"))?]);
@@ -128,7 +155,7 @@ fn limbs(body: &BodyDescription) -> Vec<Limb> {
                 for forward in [-25.0, 0.0, 30.0, 60.0, 90.0] {
                     for knee in [0.0, 45.0, 90.0] {
                         let hip = turn(2, s * apart) * turn(0, -forward);
-                        table.push([hip.scaled_axis(), turn(0, knee).scaled_axis()]);
+                        table.push([swing(&along(joints), &hip), turn(0, knee).scaled_axis()]);
                     }
                 }
             }
@@ -140,7 +167,7 @@ fn limbs(body: &BodyDescription) -> Vec<Limb> {
                 for forward in [-30.0, 0.0, 40.0, 80.0] {
                     for elbow in [0.0, 50.0, 100.0] {
                         let shoulder = turn(1, -s * forward) * turn(2, -s * down);
-                        table.push([shoulder.scaled_axis(), turn(1, -s * elbow).scaled_axis()]);
+                        table.push([swing(&along(joints), &shoulder), turn(1, -s * elbow).scaled_axis()]);
                     }
                 }
             }
@@ -192,59 +219,78 @@ impl<'a> Proxy<'a> {
         }
         Cloud::new(&points, &normals)
     }
-    /// Start poses, best first, at most `count`, of different heading: each heading's search ends in one pose.
-    pub(super) fn search(&self, scan: &LabelledPoints, headings: usize, count: usize) -> Vec<Pose> {
-        let ids = spread(&scan.points, POINTS);
-        let ids: Vec<usize> =
-            ids.into_iter().map(|i| i as usize).filter(|&i| scan.labels[i] != Label::Ignore).collect();
-        let points: Vec<Vec3> = ids.iter().map(|&i| scan.points[i]).collect();
-        let normals: Vec<Vec3> = ids.iter().map(|&i| scan.normals[i]).collect();
-        let cloud = Cloud::new(&points, &normals);
-        let weights = vec![1.0f32; ids.len()];
-        let limbs = limbs(self.body);
+    /// Poses to try, best first: one per heading, at most `count`, and before them a given one, as it is and searched from.
+    pub(super) fn search(
+        &self,
+        scan: &LabelledPoints,
+        headings: usize,
+        count: usize,
+        given: Option<&Pose>,
+    ) -> Vec<Pose> {
+        let target = Target::new(scan);
+        let limbs = limbs(self.body, &self.joints);
         let root = self.body.joints.iter().position(|j| j.parent.is_none());
-        let mut found: Vec<(f64, Pose)> = Vec::new();
-        for heading in 0..headings {
-            let mut pose = Pose::rest(self.joints.len());
-            if let Some(root) = root {
-                let yaw = std::f64::consts::TAU * heading as f64 / headings as f64;
-                // A half turn exactly is the one rotation without a unique axis-angle.
-                pose.rotations[root] =
-                    Vec3::y() * if yaw > std::f64::consts::PI { yaw - std::f64::consts::TAU } else { yaw };
+        let mut found: Vec<(f64, Pose)> = (0..headings)
+            .map(|heading| {
+                let mut pose = Pose::rest(self.joints.len());
+                if let Some(root) = root {
+                    let yaw = std::f64::consts::TAU * heading as f64 / headings as f64;
+                    // The shorter way round.
+                    pose.rotations[root] =
+                        Vec3::y() * if yaw > std::f64::consts::PI { yaw - std::f64::consts::TAU } else { yaw };
+                }
+                self.descend(pose, root, &limbs, &target)
+            })
+            .collect();
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        found.truncate(count);
+        let mut out: Vec<Pose> = Vec::new();
+        if let Some(pose) = given {
+            out.push(pose.clone());
+            out.push(self.descend(pose.clone(), root, &limbs, &target).1);
+        }
+        out.extend(found.into_iter().map(|(_, pose)| pose));
+        out
+    }
+    /// Places the body, turns one limb at a time through its table, tilts the whole; twice.
+    fn descend(&self, mut pose: Pose, root: Option<usize>, limbs: &[Limb], target: &Target) -> (f64, Pose) {
+        let mut scratch = [Vec::new(), Vec::new()];
+        let mut best = self.place(&mut pose, target, &mut scratch);
+        for _ in 0..2 {
+            for limb in limbs {
+                for entry in &limb.table {
+                    let mut trial = pose.clone();
+                    for (&joint, rotation) in limb.joints.iter().zip(entry) {
+                        trial.rotations[joint] = *rotation;
+                    }
+                    let cost = misfit(&self.pose(&trial), target, &mut scratch);
+                    if cost < best {
+                        (best, pose) = (cost, trial);
+                    }
+                }
             }
-            let mut scratch = [Vec::new(), Vec::new()];
-            let mut best = self.place(&mut pose, &points, &cloud, &weights, &mut scratch);
-            for _ in 0..2 {
-                for limb in &limbs {
-                    for entry in &limb.table {
-                        let mut trial = pose.clone();
-                        for (&joint, rotation) in limb.joints.iter().zip(entry) {
-                            trial.rotations[joint] = *rotation;
-                        }
-                        let cost = misfit(&self.pose(&trial), &cloud, &weights, &mut scratch);
-                        if cost < best {
-                            (best, pose) = (cost, trial);
+            if let Some(root) = root {
+                for degrees in [20.0, 10.0] {
+                    for axis in 0..3 {
+                        for sign in [-1.0, 1.0] {
+                            let mut trial = pose.clone();
+                            let turned = turn(axis, sign * degrees) * Rotation3::from_scaled_axis(pose.rotations[root]);
+                            trial.rotations[root] = turned.scaled_axis();
+                            let cost = misfit(&self.pose(&trial), target, &mut scratch);
+                            if cost < best {
+                                (best, pose) = (cost, trial);
+                            }
                         }
                     }
                 }
-                best = best.min(self.place(&mut pose, &points, &cloud, &weights, &mut scratch));
             }
-            found.push((best, pose));
+            best = best.min(self.place(&mut pose, target, &mut scratch));
         }
-        found.sort_by(|a, b| a.0.total_cmp(&b.0));
-        found.truncate(count);
-        found.into_iter().map(|(_, pose)| pose).collect()
+        (best, pose)
     }
     /// Moves the body as a whole to the cheapest of a few positions: boxes aligned below, above and by the median, then a
     /// pattern search around the best.
-    fn place(
-        &self,
-        pose: &mut Pose,
-        points: &[Vec3],
-        cloud: &Cloud,
-        weights: &[f32],
-        scratch: &mut [Vec<f32>; 2],
-    ) -> f64 {
+    fn place(&self, pose: &mut Pose, target: &Target, scratch: &mut [Vec<f32>; 2]) -> f64 {
         let posed = self.pose(pose);
         let range = |mut values: Vec<f64>| {
             values.sort_by(f64::total_cmp);
@@ -253,7 +299,7 @@ impl<'a> Proxy<'a> {
         };
         let body: [[f64; 3]; 3] =
             std::array::from_fn(|k| range(posed.coordinates[k].iter().map(|&c| f64::from(c)).collect()));
-        let scan: [[f64; 3]; 3] = std::array::from_fn(|k| range(points.iter().map(|p| p[k]).collect()));
+        let scan: [[f64; 3]; 3] = std::array::from_fn(|k| range(target.points.iter().map(|p| p[k]).collect()));
         let here = pose.translation;
         let mut candidates = vec![here];
         for y in 0..3 {
@@ -268,7 +314,7 @@ impl<'a> Proxy<'a> {
                 let d = (t[k] - here[k]) as f32;
                 moved.coordinates[k].iter_mut().for_each(|c| *c += d);
             }
-            misfit(&moved, cloud, weights, scratch)
+            misfit(&moved, target, scratch)
         };
         for candidate in candidates {
             let cost = shift(candidate, scratch);

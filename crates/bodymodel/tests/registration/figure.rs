@@ -248,6 +248,12 @@ impl BodyModel for Figure {
                 self.description.joints[j].parent.map_or(left, |q| world[q] * left)
             })
             .collect();
+        let ancestors: Vec<Vec<usize>> =
+            (0..n).map(|part| (0..n).filter(|&j| self.descends(part, j)).collect()).collect();
+        // Posing is linear in rest joints and vertices: shape 0 moves both, shape 1 vertices only.
+        let taller: Vec<Vec3> = self.joints.iter().map(|j| j * TALLER).collect();
+        let unmoved = vec![Vec3::zeros(); n];
+        let posed_taller = self.posed_joints(&world, &taller);
         for (i, &v) in ids.iter().enumerate() {
             let v = v as usize;
             for a in 0..3 {
@@ -255,22 +261,19 @@ impl BodyModel for Figure {
             }
             for (part, w) in self.description.weights.row(v) {
                 let at = posed[part] + world[part] * (vertices[v] - rest[part]);
-                for j in (0..n).filter(|&j| self.descends(part, j)) {
+                for &j in &ancestors[part] {
                     for k in 0..3 {
                         let d: Vec3 = axes[j].column(k).cross(&(at - posed[j])) * w;
                         (0..3).for_each(|a| out[(3 * i + a, 3 + 3 * j + k)] += d[a]);
                     }
                 }
             }
-            // Posing is linear in rest joints and vertices.
             for k in 0..p.shape.len() {
-                let (joints, x) = if k == 0 {
-                    (self.joints.iter().map(|j| j * TALLER).collect(), self.vertices[v] * TALLER)
+                let d = if k == 0 {
+                    self.skin(&world, &taller, &posed_taller, v, self.vertices[v] * TALLER)
                 } else {
-                    (vec![Vec3::zeros(); n], self.outward[v] * WIDER)
+                    self.skin(&world, &unmoved, &unmoved, v, self.outward[v] * WIDER)
                 };
-                let moved = self.posed_joints(&world, &joints);
-                let d = self.skin(&world, &joints, &moved, v, x);
                 (0..3).for_each(|a| out[(3 * i + a, 3 + 3 * n + k)] = d[a]);
             }
         }
