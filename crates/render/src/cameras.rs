@@ -47,8 +47,8 @@ pub fn uniform_views_with(bounds: (Vec3, Vec3), count: usize, size: usize, proje
     fibonacci_directions(count).iter().map(|d| frame(bounds, d, projection, size, size)).collect()
 }
 
-/// A camera of `width` × `height` pixels that sees all of `bounds` [m] from the side `from` points to (a direction from the subject to
-/// the eye, any length; zero means from the front, +z).
+/// A camera of `width` × `height` pixels that sees all of `bounds` [m] from the side `from` points to (a direction from
+/// the subject to the eye, any length; zero means from the front, +z).
 pub fn frame(bounds: (Vec3, Vec3), from: &Vec3, projection: Projection, width: usize, height: usize) -> Camera {
     let (lo, hi) = bounds;
     let forward = -from.try_normalize(1e-12).unwrap_or_else(Vec3::z);

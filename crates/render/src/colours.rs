@@ -57,8 +57,8 @@ impl ColourMap {
     }
 }
 
-/// A colour per value: `range.0` is the map's start and `range.1` its end, values beyond take the ends' colours. An empty
-/// range gives everything the middle.
+/// A colour per value: `range.0` is the map's start and `range.1` its end, values beyond take the ends' colours. An
+/// empty range gives everything the middle.
 pub fn field_colours(values: &[f64], range: (f64, f64), map: ColourMap) -> Vec<[u8; 3]> {
     let width = range.1 - range.0;
     let place = |v: &f64| {

@@ -1,7 +1,8 @@
 //! The z-buffer: which triangle each pixel sees, how far away, and its unshaded colour.
 //!
 //! Vertices are snapped to 1/256 pixel and edges are decided in integers with the top-left rule, so that neighbouring
-//! triangles leave no gap and share no pixel. Both sides of a triangle are drawn. Equal depths go to the earlier triangle.
+//! triangles leave no gap and share no pixel. Both sides of a triangle are drawn. Equal depths go to the earlier
+//! triangle.
 
 use caphy_core::segmenter::{Camera, NO_TRIANGLE};
 use caphy_core::{TriMesh, Vec3};
@@ -27,8 +28,8 @@ pub const NO_COLOUR: [u8; 3] = [128; 3];
 /// Renders a mesh with its vertex colours (sRGB, shape [vertex_count]), unshaded, as a segmenter sees it.
 ///
 /// Colours are interpolated over the triangle, perspective-correct. Without colours (or for vertices beyond their
-/// end) the colour is [`NO_COLOUR`]. What lies behind the eye or the image plane is clipped; faces with non-finite corners, without area on
-/// the screen or naming missing vertices show nothing; an empty mesh gives an empty image.
+/// end) the colour is [`NO_COLOUR`]. What lies behind the eye or the image plane is clipped; faces with non-finite
+/// corners, without area on the screen or naming missing vertices show nothing; an empty mesh gives an empty image.
 pub fn render(mesh: &TriMesh, colours: Option<&[[u8; 3]]>, camera: &Camera) -> Image {
     let points = to_camera(&mesh.vertices, camera);
     let mut buffer = ZBuffer::new(camera.width, camera.height);
@@ -95,8 +96,8 @@ pub fn barycentric_unclamped(corners: &[Vec3; 3], at: [f64; 2], camera: &Camera)
 const SUBPIXEL: i64 = 8;
 /// One pixel in snapped units.
 const ONE: i64 = 1 << SUBPIXEL;
-/// Triangles that reach farther from the image's middle than this [pixels] are cut first: products of snapped coordinates then stay
-/// below 2^59.
+/// Triangles that reach farther from the image's middle than this [pixels] are cut first: products of snapped
+/// coordinates then stay below 2^59.
 const GUARD: f64 = (1 << 20) as f64;
 /// Nearest depth in front of a perspective eye [m].
 const NEAR: f64 = 1e-3;

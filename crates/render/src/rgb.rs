@@ -46,7 +46,8 @@ impl Rgb {
 /// The picture as the bytes of a PNG file.
 ///
 /// # Errors
-/// [`Error::Length`] when the pixels do not fill the picture, [`Error::Numerics`] for a picture that PNG cannot hold (no pixels).
+/// [`Error::Length`] when the pixels do not fill the picture, [`Error::Numerics`] for a picture that PNG cannot hold
+/// (no pixels).
 pub fn png(picture: &Rgb) -> Result<Vec<u8>> {
     Error::check_length("picture pixels [height · width]", picture.width * picture.height, picture.pixels.len())?;
     let cannot = |problem: String| {

@@ -9,7 +9,7 @@ use crate::raster::{NO_COLOUR, ZBuffer, barycentric, centre, corners, to_camera}
 use crate::rgb::Rgb;
 use caphy_core::segmenter::Camera;
 use caphy_core::{TriMesh, Vec3};
-use nalgebra::{Matrix3x4, Vector3};
+use nalgebra::{Matrix3, Matrix3x4, Vector3};
 use rayon::prelude::*;
 
 /// A colour that goes well as bare skin.
@@ -98,21 +98,19 @@ impl<'a> Picture<'a> {
                 prepared
             })
             .collect();
-        let depth = buffer.depths(&camera);
-        let surface: Vec<Option<Surface>> = (0..depth.len())
+        let surface: Vec<Option<Surface>> = (0..buffer.triangle.len())
             .into_par_iter()
             .map(|pixel| surface_at(&layers, &camera, buffer.triangle[pixel], pixel))
             .collect();
         let scene = Scene {
             camera: &camera,
-            depth: &depth,
             surface: &surface,
             crease_radius: self.crease_radius as f32,
             sky: direction(&camera, &Vec3::y()),
             ground: self.ground.and_then(|y| Ground::new(y, &self.layers, &camera)),
             background: self.background.map(|c| c.map(srgb_to_linear)),
         };
-        let light: Vec<[f32; 3]> = (0..depth.len()).into_par_iter().map(|pixel| scene.light(pixel)).collect();
+        let light: Vec<[f32; 3]> = (0..surface.len()).into_par_iter().map(|pixel| scene.light(pixel)).collect();
         let (width, height) = (self.camera.width, self.camera.height);
         let pixels = (0..width * height)
             .into_par_iter()
@@ -177,7 +175,7 @@ fn surface_at(layers: &[Prepared], camera: &Camera, id: u32, pixel: usize) -> Op
     let mix = |v: [Vec3; 3]| v[0] * weights[0] + v[1] * weights[1] + v[2] * weights[2];
     let point = mix(triangle);
     let flat = (triangle[1] - triangle[0]).cross(&(triangle[2] - triangle[0]));
-    let smooth = if layer.layer.smooth { mix(corners_of(&layer.normals, face)) } else { flat };
+    let smooth = if layer.layer.smooth { mix(corners(&layer.normals, face)) } else { flat };
     let normal = [smooth, flat].iter().find_map(|n| n.try_normalize(1e-12)).unwrap_or_else(|| -Vec3::z());
     // Two-sided: the side that the eye sees.
     let sight = if camera.perspective { point } else { Vec3::z() };
@@ -195,22 +193,17 @@ fn surface_at(layers: &[Prepared], camera: &Camera, id: u32, pixel: usize) -> Op
     Some(Surface { point: point.cast(), normal: normal.cast(), albedo })
 }
 
-fn corners_of(values: &[Vec3], face: &[u32; 3]) -> [Vec3; 3] {
-    corners(values, face)
-}
-
 /// A world direction in camera axes.
 fn direction(camera: &Camera, world: &Vec3) -> Vector3<f32> {
     (camera.world_to_camera.fixed_columns::<3>(0) * world).cast()
 }
 
-/// Samples of the crease darkening: (x, y) in units of the radius, a golden-angle spiral. Four pixels of a 2 × 2 block use a
-/// quarter each, so that supersampling averages the whole spiral.
+/// Samples of the crease darkening: (x, y) in units of the radius, a golden-angle spiral. Four pixels of a 2 × 2 block
+/// use a quarter each, so that supersampling averages the whole spiral.
 const CREASE_SAMPLES: usize = 48;
 
 struct Scene<'a> {
     camera: &'a Camera,
-    depth: &'a [f32],
     surface: &'a [Option<Surface>],
     crease_radius: f32,
     sky: Vector3<f32>,
@@ -229,7 +222,7 @@ impl Scene<'_> {
         let soft = |l: &Vector3<f32>| ((s.normal.dot(l) + 0.25) / 1.25).max(0.0);
         let sky = 0.5 + 0.5 * s.normal.dot(&self.sky);
         let open = self.openness(pixel, s);
-        let amount = 0.72 * soft(&key) * (0.55 + 0.45 * open) + (0.16 * soft(&fill) + 0.14 + 0.16 * sky) * open;
+        let amount = 0.8 * soft(&key) * (0.55 + 0.45 * open) + (0.16 * soft(&fill) + 0.14 + 0.16 * sky) * open;
         s.albedo.map(|a| a * amount)
     }
 
@@ -264,7 +257,6 @@ impl Scene<'_> {
     }
 
     fn behind(&self, pixel: usize) -> [f32; 3] {
-        debug_assert!(self.depth[pixel].is_infinite());
         let t = (pixel / self.camera.width) as f32 / self.camera.height.max(2) as f32;
         let shadow = self.ground.as_ref().map_or(0.0, |g| g.shadow(self.camera, pixel));
         std::array::from_fn(|k| {
@@ -281,6 +273,9 @@ struct Ground {
     cell: f64,
     size: usize,
     shadow: Vec<f32>,
+    /// Where the picture's eye is [m], and its axes back to the world.
+    eye: Vec3,
+    turn: Matrix3<f64>,
 }
 
 impl Ground {
@@ -330,7 +325,8 @@ impl Ground {
         let tight = blurred(&contact, Self::SIZE, (0.012 / cell).ceil() as usize);
         let wide = blurred(&contact, Self::SIZE, (0.05 / cell).ceil() as usize);
         let shadow = tight.iter().zip(&wide).map(|(t, w)| 0.45 * t + 0.9 * w).collect();
-        Some(Self { height, origin, cell, size: Self::SIZE, shadow })
+        let turn = camera.world_to_camera.fixed_columns::<3>(0).transpose();
+        Some(Self { height, origin, cell, size: Self::SIZE, shadow, eye: camera.eye(), turn })
     }
 
     /// Darkness in [0, 1] of the ground that a pixel sees.
@@ -338,11 +334,11 @@ impl Ground {
         let at = centre(pixel, camera.width);
         let x = (at[0] - 0.5 * camera.width as f64) / camera.scale;
         let y = (at[1] - 0.5 * camera.height as f64) / camera.scale;
-        let turn = camera.world_to_camera.fixed_columns::<3>(0).transpose();
+        let (eye, turn) = (self.eye, self.turn);
         let (from, along) = if camera.perspective {
-            (camera.eye(), turn * Vec3::new(x, y, 1.0))
+            (eye, turn * Vec3::new(x, y, 1.0))
         } else {
-            (camera.eye() + turn * Vec3::new(x, y, 0.0), turn * Vec3::z())
+            (eye + turn * Vec3::new(x, y, 0.0), turn * Vec3::z())
         };
         let t = (self.height - from.y) / along.y;
         if !(t > 0.0 && t.is_finite()) {

@@ -14,8 +14,8 @@ pub fn text_width(text: &str, dot: usize) -> usize {
     (text.chars().count() * (font::WIDTH + 1)).saturating_sub(1) * dot
 }
 
-/// Writes a text with its upper left corner at (`left`, `top`), `dot` pixels per dot (a letter is 7 dots high). What does not fit is
-/// cut off; small letters are shown as capitals.
+/// Writes a text with its upper left corner at (`left`, `top`), `dot` pixels per dot (a letter is 7 dots high). What
+/// does not fit is cut off; small letters are shown as capitals.
 pub fn write_text(picture: &mut Rgb, text: &str, left: usize, top: usize, dot: usize, colour: [u8; 3]) {
     for (i, c) in text.chars().enumerate() {
         let x0 = left + i * (font::WIDTH + 1) * dot;
@@ -31,8 +31,8 @@ pub fn write_text(picture: &mut Rgb, text: &str, left: usize, top: usize, dot: u
     }
 }
 
-/// Pictures in rows of `columns` (at least 1), each in a cell of the largest picture's size with its label below, on white. Labels that
-/// are too wide for their cell are cut off. Without pictures the sheet is one empty margin.
+/// Pictures in rows of `columns` (at least 1), each in a cell of the largest picture's size with its label below, on
+/// white. Labels that are too wide for their cell are cut off. Without pictures the sheet is one empty margin.
 pub fn contact_sheet(pictures: &[(&str, &Rgb)], columns: usize) -> Rgb {
     let columns = columns.clamp(1, pictures.len().max(1));
     let rows = pictures.len().div_ceil(columns);

@@ -1,6 +1,8 @@
-//! Labels a PLY scan and writes pictures of it: `cargo run --release -p caphy-segmentation --example label_scan -- scan.ply out.png`.
+//! Labels a PLY scan and writes pictures of it: `cargo run --release -p caphy-segmentation --example label_scan --
+//! scan.ply out.png`.
 //!
-//! Prints the time of rendering, labelling and voting over 32 views of 512² pixels. Scans without labels are only drawn.
+//! Prints the time of rendering, labelling and voting over 32 views of 512² pixels. Scans without labels are only
+//! drawn.
 
 use caphy_core::Vec3;
 use caphy_formats::ply::read_ply;
@@ -17,12 +19,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scan = read_ply(&input, &std::fs::read(&input)?)?;
     let bounds = scan.mesh.bounds().ok_or("the scan has no vertices")?;
     let views = uniform_views(bounds, 32, 512);
-    let start = Instant::now();
+    let mut fastest = f64::INFINITY;
     for camera in &views {
+        let start = Instant::now();
         std::hint::black_box(render(&scan.mesh, scan.colours.as_deref(), camera));
+        fastest = fastest.min(start.elapsed().as_secs_f64());
     }
-    let each = start.elapsed().as_secs_f64() / views.len() as f64;
-    println!("{} triangles, render: {:.1} ms per view", scan.mesh.faces.len(), 1e3 * each);
+    println!("{} triangles, render: {:.1} ms for the fastest view", scan.mesh.faces.len(), 1e3 * fastest);
     let white = vec![[205; 3]; scan.mesh.vertices.len()];
     let colours = scan.colours.as_deref().unwrap_or(&white);
     let mut pictures: Vec<(String, Rgb)> = Vec::new();

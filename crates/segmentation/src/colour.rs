@@ -33,15 +33,16 @@ pub struct PaletteEntry {
 pub struct SegmenterColourSpec {
     /// Colours and what they mean; a label may have several.
     pub palette: Vec<PaletteEntry>,
-    /// Largest distance in CIELAB (ΔE*ab, 2.3 is just noticeable) to the nearest palette colour; none by default: the nearest
-    /// decides however far it is.
+    /// Largest distance in CIELAB (ΔE*ab, 2.3 is just noticeable) to the nearest palette colour; none by default: the
+    /// nearest decides however far it is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_distance: Option<f64>,
-    /// Label of a pixel farther than `max_distance` from the whole palette. Not known, by default: other views or the neighbours decide.
+    /// Label of a pixel farther than `max_distance` from the whole palette. Not known, by default: other views or the
+    /// neighbours decide.
     #[serde(default = "unknown")]
     pub far: Label,
-    /// Pixels this close to nothing (the background or the image's border) are not labelled [pixels]: photographic scans bleed
-    /// there. 0 by default: the renderer does not.
+    /// Pixels this close to nothing (the background or the image's border) are not labelled [pixels]: photographic
+    /// scans bleed there. 0 by default: the renderer does not.
     #[serde(default)]
     pub outline: usize,
 }
@@ -276,24 +277,14 @@ mod tests {
     fn the_table_parses_and_refuses_what_it_does_not_know() {
         let boxed: Box<dyn SegmenterSpec> = toml::from_str(TABLE).unwrap();
         assert!(boxed.build(&Disk).is_ok());
-        assert_eq!(
-            toml::from_str::<Box<dyn SegmenterSpec>>(&toml::to_string(&boxed).unwrap()).unwrap().type_id_text(),
-            "colour"
-        );
+        let text = toml::to_string(&boxed).unwrap();
+        let again: Box<dyn SegmenterSpec> = toml::from_str(&text).unwrap();
+        assert_eq!((again.typetag_name(), toml::to_string(&again).unwrap()), ("colour", text));
         let refused = |text: &str| toml::from_str::<Box<dyn SegmenterSpec>>(text).unwrap_err().to_string();
         assert!(refused(&TABLE.replace("outline", "outlin")).contains("outlin"));
         assert!(refused(&TABLE.replace("colour = [60", "color = [60")).contains("color"));
         assert!(refused(&TABLE.replace("\"lower\"", "\"hat\"")).contains("hat"));
         assert!(refused(&TABLE.replace("161]", "300]")).contains("300"));
-    }
-
-    trait TypeIdText {
-        fn type_id_text(&self) -> &'static str;
-    }
-    impl TypeIdText for Box<dyn SegmenterSpec> {
-        fn type_id_text(&self) -> &'static str {
-            self.typetag_name()
-        }
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! Labels on the scan's vertices from labels on its pictures (Sec. 3.1): render views, label pixels, vote.
 //!
-//! A vertex is seen in a view when one of its own triangles covers a pixel beside its projection, or when it lies on the surface that its
-//! pixel shows: then its depth equals the depth of that surface *at the vertex's own position*, found by continuing the pixel's
-//! triangle as a plane. Comparing with the plane instead of the pixel's depth takes the surface's slope out of the tolerance, which
-//! can therefore be tight enough to tell skin from the cloth that lies on it.
+//! A vertex is seen in a view when one of its own triangles covers a pixel beside its projection, or when it lies on
+//! the surface that its pixel shows: then its depth equals the depth of that surface *at the vertex's own position*,
+//! found by continuing the pixel's triangle as a plane. Comparing with the plane instead of the pixel's depth takes the
+//! surface's slope out of the tolerance, which can therefore be tight enough to tell skin from the cloth that lies on
+//! it.
 
 use caphy_core::query::{Adjacency, NearestGrid};
 use caphy_core::scan::{Label, Scan};
@@ -22,14 +23,15 @@ pub struct FusionSettings {
     pub views: usize,
     /// Width and height of a view [pixels]. 512: about 4 mm per pixel on a standing person.
     pub size: usize,
-    /// How far a vertex may lie behind the surface that its pixel shows and still be seen [pixels]. A quarter of a pixel: 1 mm at
-    /// the default size, less than cloth keeps from skin, more than a smooth surface bends within a pixel.
+    /// How far a vertex may lie behind the surface that its pixel shows and still be seen [pixels]. A quarter of a
+    /// pixel: 1 mm at the default size, less than cloth keeps from skin, more than a smooth surface bends within a
+    /// pixel.
     pub depth_tolerance: f64,
-    /// Smallest |cosine| between a vertex's normal and the line of sight. 0.2: below it a pixel spans 5 pixels of surface, and a
-    /// silhouette's labels belong to whatever is behind as often as not.
+    /// Smallest |cosine| between a vertex's normal and the line of sight. 0.2: below it a pixel spans 5 pixels of
+    /// surface, and a silhouette's labels belong to whatever is behind as often as not.
     pub min_facing: f64,
-    /// Rounds of majority smoothing over edge neighbours after the vote. 1: takes single vertices out of noisy labels, moves a
-    /// clean border by less than an edge.
+    /// Rounds of majority smoothing over edge neighbours after the vote. 1: takes single vertices out of noisy labels,
+    /// moves a clean border by less than an edge.
     pub smoothing: usize,
 }
 
@@ -88,7 +90,8 @@ pub struct FusionReport {
 pub struct Fusion {
     /// Shape [vertex_count], never [`Label::Ignore`].
     pub labels: Vec<Label>,
-    /// Whether a view showed the vertex with a label; the others' labels come from their neighbours. Shape [vertex_count].
+    /// Whether a view showed the vertex with a label; the others' labels come from their neighbours. Shape
+    /// [vertex_count].
     pub seen: Vec<bool>,
     /// Summary.
     pub report: FusionReport,
@@ -96,12 +99,12 @@ pub struct Fusion {
 
 /// Labels every vertex of a scan by the majority of the views that show it (Sec. 3.1); ties go to the smaller label.
 ///
-/// Vertices that no view shows take the labels of the nearest labelled vertices along edges, components without any seen
-/// vertex those of the nearest seen vertex in space. Deterministic on any number of threads.
+/// Vertices that no view shows take the labels of the nearest labelled vertices along edges, components without any
+/// seen vertex those of the nearest seen vertex in space. Deterministic on any number of threads.
 ///
 /// # Errors
-/// [`Error::Config`] for settings out of range; [`Error::Mesh`] for a scan without faces, with a broken mesh, or with no vertex that any view
-/// shows with a label; the segmenter's own errors.
+/// [`Error::Config`] for settings out of range; [`Error::Mesh`] for a scan without faces, with a broken mesh, or with
+/// no vertex that any view shows with a label; the segmenter's own errors.
 pub fn label_scan(scan: &Scan, segmenter: &dyn Segmenter, settings: &FusionSettings) -> Result<Fusion> {
     settings.check()?;
     scan.mesh.check(&scan.name)?;
@@ -239,8 +242,8 @@ fn pixel_of(scan: &Scan, vertex: u32, camera: &Camera, image: &Image, tolerance:
     (near && (depth - surface).abs() <= tolerance).then_some(home)
 }
 
-/// Gives labels to vertices without one: breadth-first along edges, each ring by the majority of its labelled neighbours;
-/// then, for components without any, from the nearest seen vertex.
+/// Gives labels to vertices without one: breadth-first along edges, each ring by the majority of its labelled
+/// neighbours; then, for components without any, from the nearest seen vertex.
 fn fill(vertices: &[Vec3], adjacency: &Adjacency, seen: &[bool], labels: &mut [Label]) {
     let mut ring: Vec<u32> = (0..labels.len() as u32).filter(|&v| labels[v as usize] != Label::Ignore).collect();
     let mut queued: Vec<bool> = seen.to_vec();

@@ -1,7 +1,7 @@
 //! Segmenters of caphy and the fusion of their labels over views (Sec. 3.1).
 //!
-//! A [`Segmenter`](caphy_core::segmenter::Segmenter) labels the pixels of one view; [`label_scan`] renders views around a scan, has each
-//! labelled, and gives every vertex the label that most views show at it. Two segmenters stand here:
+//! A [`Segmenter`](caphy_core::segmenter::Segmenter) labels the pixels of one view; [`label_scan`] renders views around
+//! a scan, has each labelled, and gives every vertex the label that most views show at it. Two segmenters stand here:
 //! [`SegmenterColour`] knows garments by their colours, [`SegmenterVertex`] reads labels that the scan already has.
 
 pub mod colour;

@@ -7,11 +7,12 @@ use caphy_core::segmenter::{NO_TRIANGLE, Segmenter, SegmenterSpec, View};
 use caphy_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 
-/// Gives each pixel the stored label ([`Scan::labels`](caphy_core::scan::Scan::labels)) of the corner nearest to it in the image.
+/// Gives each pixel the stored label ([`Scan::labels`](caphy_core::scan::Scan::labels)) of the corner nearest to it in
+/// the image.
 ///
 /// # Errors
-/// [`Error::Mesh`] naming the scan when it has no labels, [`Error::Length`] when their number is not the vertices', [`Error::Mesh`]
-/// when the triangle image names a face or vertex that the scan lacks.
+/// [`Error::Mesh`] naming the scan when it has no labels, [`Error::Length`] when their number is not the vertices',
+/// [`Error::Mesh`] when the triangle image names a face or vertex that the scan lacks.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SegmenterVertex;
 

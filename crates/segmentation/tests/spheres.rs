@@ -43,8 +43,8 @@ fn add(scan: &mut Scan, part: TriMesh, label: Label, colour: [u8; 3]) {
     scan.colours.get_or_insert_default().extend(std::iter::repeat_n(colour, count));
 }
 
-/// A body of radius 0.5 m, a shirt 5 mm over its upper part, a skirt 8 mm over its lower part, and something inside the body that
-/// nobody can see.
+/// A body of radius 0.5 m, a shirt 5 mm over its upper part, a skirt 8 mm over its lower part, and something inside the
+/// body that nobody can see.
 fn dressed() -> Scan {
     let mut scan = Scan { name: "spheres".into(), ..Scan::default() };
     add(&mut scan, sphere(0.5, (-1.0, 1.0), 60, 90), Label::Body, SKIN);

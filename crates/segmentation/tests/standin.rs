@@ -21,8 +21,8 @@ fn scans() -> Option<Vec<Scan>> {
     ["p1_apose.ply", "p1_kneeup.ply", "p1_star.ply"].into_iter().map(read).collect()
 }
 
-/// Two colours per label: the means of a label's darker and lighter vertices (two rounds of 2-means on the sum of channels are enough for
-/// cloth in two tones).
+/// Two colours per label: the means of a label's darker and lighter vertices (two rounds of 2-means on the sum of
+/// channels are enough for cloth in two tones).
 fn palette(scan: &Scan) -> Vec<PaletteEntry> {
     let (labels, colours) = (scan.labels.as_ref().unwrap(), scan.colours.as_ref().unwrap());
     let mut entries = Vec::new();
