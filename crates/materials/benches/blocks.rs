@@ -31,11 +31,11 @@ fn membrane<T: MaterialReal>(c: &mut Criterion, name: &str, model: &dyn Material
 
 fn hinge<T: MaterialReal>(c: &mut Criterion, name: &str, model: &dyn MaterialModel) {
     let angle = scattered::<T>(COUNT, 1.0);
-    let rest = vec![T::of(0.1); COUNT];
-    let length = vec![T::of(0.01); COUNT];
-    let area = vec![T::of(1e-4); COUNT];
+    let rest = [T::of(0.1); COUNT];
+    let length = [T::of(0.01); COUNT];
+    let area = [T::of(1e-4); COUNT];
     let direction = scattered::<T>(2 * COUNT, 0.01);
-    let mut stiffness = vec![T::zero(); COUNT];
+    let mut stiffness = [T::zero(); COUNT];
     let mut group = c.benchmark_group("hinge");
     group.throughput(Throughput::Elements(COUNT as u64));
     group.bench_function(name, |b| {

@@ -8,16 +8,11 @@ pub(crate) const CHUNK: usize = 64;
 /// One value per element of a piece.
 pub(crate) type Row<T> = [T; CHUNK];
 
-/// `value` held inside [low, high]; NaN becomes `low`.
+/// `value` held inside [low, high]; NaN becomes `low`. Written as the processor's max and min are.
 #[inline(always)]
 pub(crate) fn clamp<T: Real>(value: T, low: T, high: T) -> T {
-    if value > high {
-        high
-    } else if value >= low {
-        value
-    } else {
-        low
-    }
+    let value = if value > low { value } else { low };
+    if value < high { value } else { high }
 }
 
 /// Largest strain that enters an energy: its square times [`crate::bounds::LARGEST_STIFFNESS`] is finite.
@@ -32,27 +27,34 @@ pub(crate) fn index<T: Real>(whole: T) -> usize {
     whole.to_f64() as i32 as usize
 }
 
-/// Elements `start..start + CHUNK` of a row, zero behind its end.
+/// Elements `start..start + CHUNK` of a row: in place when there are as many, else copied to `spare`, zero behind the end.
 #[inline(always)]
-pub(crate) fn load<T: Real>(row: &[T], start: usize) -> Row<T> {
-    let mut piece = [T::zero(); CHUNK];
+pub(crate) fn piece<'a, T: Real>(row: &'a [T], start: usize, spare: &'a mut Row<T>) -> &'a Row<T> {
     let rest = &row[start..];
     match rest.first_chunk::<CHUNK>() {
-        Some(full) => piece = *full,
-        None => piece[..rest.len()].copy_from_slice(rest),
+        Some(full) => full,
+        None => {
+            *spare = [T::zero(); CHUNK];
+            spare[..rest.len()].copy_from_slice(rest);
+            spare
+        }
     }
-    piece
 }
 
-/// Writes a piece back, without what lies behind the row's end.
+/// Writes `value(i)` to the elements `start..start + CHUNK` of a row, as far as it goes.
 #[inline(always)]
-pub(crate) fn store<T: Real>(row: &mut [T], start: usize, piece: &Row<T>) {
+pub(crate) fn write<T: Real>(row: &mut [T], start: usize, value: impl Fn(usize) -> T) {
     let rest = &mut row[start..];
     match rest.first_chunk_mut::<CHUNK>() {
-        Some(full) => *full = *piece,
+        Some(full) => {
+            for i in 0..CHUNK {
+                full[i] = value(i);
+            }
+        }
         None => {
-            let count = rest.len();
-            rest.copy_from_slice(&piece[..count]);
+            for (i, out) in rest.iter_mut().enumerate() {
+                *out = value(i);
+            }
         }
     }
 }

@@ -20,15 +20,15 @@ const SNUG_BENDING: f64 = 3.959_56e-5;
 
 /// The keys of `[material] type = "stvk"`.
 ///
-/// Membrane constants come as exactly one group: Lamé moduli [Pa] with a thickness, Lamé constants of the sheet [N/m],
-/// or Young's modulus [Pa] and Poisson's ratio (plane stress) with a thickness.
+/// Membrane constants come as exactly one group: Lamé moduli in Pa with a thickness, Lamé constants of the sheet [N/m],
+/// or Young's modulus in Pa and Poisson's ratio (plane stress) with a thickness.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MaterialStvkSpec {
-    /// λ of Eq. 5, bulk [Pa]. No default: a fabric is the user's choice.
+    /// λ of Eq. 5, bulk in Pa. No default: a fabric is the user's choice.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lambda_pa: Option<Pascal>,
-    /// μ of Eq. 5, bulk [Pa].
+    /// μ of Eq. 5, bulk in Pa.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mu_pa: Option<Pascal>,
     /// λ times thickness [N/m].
@@ -37,13 +37,13 @@ pub struct MaterialStvkSpec {
     /// μ times thickness [N/m].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mu_n_per_m: Option<NewtonPerMetre>,
-    /// Young's modulus E [Pa].
+    /// Young's modulus E in Pa.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub young_pa: Option<Pascal>,
     /// Poisson's ratio ν, in (-1, 0.5].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poisson: Option<f64>,
-    /// Thickness t [m]; needed with moduli in Pa, refused with constants in N/m, which already hold it.
+    /// Thickness t in m; needed with moduli in Pa, refused with constants in N/m, which already hold it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub thickness_m: Option<Metre>,
     /// k of Eq. 7 [N·m]. Default 3.95956e-5, SNUG's: a fold then behaves as in the method that this one follows.

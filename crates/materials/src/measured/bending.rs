@@ -3,7 +3,7 @@
 use super::fabrics::{BEND_COLUMNS, BEND_ROWS, BendEntries};
 use super::spec::BendingLookup;
 use crate::angle::quarter_angle;
-use crate::chunk::{CHUNK, Row, clamp, load, store};
+use crate::chunk::{CHUNK, Row, clamp, piece, write};
 use caphy_core::material::HingeBlock;
 use caphy_core::{Real, simd_kernel};
 
@@ -65,8 +65,12 @@ fn mix<T: Real>(weights: [T; 3], values: [T; 3]) -> T {
     weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
 }
 
-/// One piece of a block, before any output.
-struct Piece<T> {
+/// What every output of a piece is made of.
+struct Lookup<T> {
+    /// Signed fold for the faithful lookup, its size against the rest angle for the repaired one [rad].
+    fold: Row<T>,
+    /// Ten times the area sum [m²], never zero.
+    ten_area: Row<T>,
     /// Table coordinate s.
     s: Row<T>,
     /// Row weights of the side whose stiffness is used.
@@ -88,29 +92,27 @@ simd_kernel! {
         if let Some(out) = block.stiffness_by_parameter.get() {
             out.fill(zero);
         }
+        let row = [zero; CHUNK];
+        let mut l = Lookup { fold: row, ten_area: row, s: row, weights: [row; 3], k: row };
+        let mut spare = [row; 8];
+        let [spare0, spare1, spare2, spare3, spare4, spare5, spare6, spare7] = &mut spare;
         let mut start = 0;
         while start < n {
-            let (angle, rest) = (load(angle, start), load(rest, start));
-            let (length, area) = (load(length, start), load(area, start));
-            let (du0, dv0) = (load(du0, start), load(dv0, start));
-            let (du1, dv1) = (load(du1, start), load(dv1, start));
-            let mut piece = Piece { s: [zero; CHUNK], weights: [[zero; CHUNK]; 3], k: [zero; CHUNK] };
-            // Signed fold for the faithful lookup, its size against the rest angle for the repaired one.
-            let mut fold = [zero; CHUNK];
-            let mut ten_area = [zero; CHUNK];
+            let (angle, rest) = (piece(angle, start, spare0), piece(rest, start, spare1));
+            let (length, area) = (piece(length, start, spare2), piece(area, start, spare3));
+            let (du0, dv0) = (piece(du0, start, spare4), piece(dv0, start, spare5));
+            let (du1, dv1) = (piece(du1, start, spare6), piece(dv1, start, spare7));
             for i in 0..CHUNK {
                 let a = area[i];
-                ten_area[i] = ten * if a > T::of(SMALLEST_AREA) { a } else { T::of(SMALLEST_AREA) };
-                fold[i] = if repaired { (angle[i] - rest[i]).abs() } else { angle[i] };
+                let ten_area = ten * if a > T::of(SMALLEST_AREA) { a } else { T::of(SMALLEST_AREA) };
+                let fold = if repaired { (angle[i] - rest[i]).abs() } else { angle[i] };
                 let low = if repaired { zero } else { T::of(RIDGE_END) };
-                piece.s[i] = clamp(fold[i] * length[i] / ten_area[i], low, T::of(LAST));
-            }
-            for i in 0..CHUNK {
-                let s = piece.s[i];
+                let s = clamp(fold * length[i] / ten_area, low, T::of(LAST));
                 let mut curve = curves.start;
-                for r in 0..BEND_ROWS {
-                    for j in 0..BEND_COLUMNS - 1 {
-                        curve[r] += curves.rise[r][j] * ramp(s, j);
+                for j in 0..BEND_COLUMNS - 1 {
+                    let along = ramp(s, j);
+                    for r in 0..BEND_ROWS {
+                        curve[r] += curves.rise[r][j] * along;
                     }
                 }
                 let side0 = row_weights(du0[i], dv0[i]);
@@ -119,12 +121,15 @@ simd_kernel! {
                 let second = k1 < k0;
                 let k = if second { k1 } else { k0 };
                 for r in 0..BEND_ROWS {
-                    piece.weights[r][i] = if second { side1[r] } else { side0[r] };
+                    l.weights[r][i] = if second { side1[r] } else { side0[r] };
                 }
-                piece.k[i] = if k > zero { k } else { zero };
+                l.k[i] = if k > zero { k } else { zero };
+                l.s[i] = s;
+                l.fold[i] = fold;
+                l.ten_area[i] = ten_area;
             }
             if let Some(out) = block.stiffness.get() {
-                store(out, start, &piece.k);
+                write(out, start, |i| l.k[i]);
             }
             if block.stiffness_by_angle.wanted() || block.stiffness_by_length.wanted() {
                 let largest = T::of(LARGEST_SLOPE);
@@ -133,15 +138,14 @@ simd_kernel! {
                     let mut curve = [zero; BEND_ROWS];
                     for r in 0..BEND_ROWS {
                         for j in 0..BEND_COLUMNS - 1 {
-                            curve[r] += curves.rise[r][j] * inside(piece.s[i], j);
+                            curve[r] += curves.rise[r][j] * inside(l.s[i], j);
                         }
                     }
-                    let weights = [piece.weights[0][i], piece.weights[1][i], piece.weights[2][i]];
-                    slope[i] = if piece.k[i] > zero { mix(weights, curve) } else { zero };
+                    let weights = [l.weights[0][i], l.weights[1][i], l.weights[2][i]];
+                    slope[i] = if l.k[i] > zero { mix(weights, curve) } else { zero };
                 }
-                let mut out_piece = [zero; CHUNK];
                 if let Some(out) = block.stiffness_by_angle.get() {
-                    for i in 0..CHUNK {
+                    write(out, start, |i| {
                         let turn = angle[i] - rest[i];
                         // On the fold of |θ − θ_rest| the mean of both sides, 0.
                         let sign = if !repaired || turn > zero {
@@ -151,30 +155,23 @@ simd_kernel! {
                         } else {
                             zero
                         };
-                        out_piece[i] = slope[i] * sign * clamp(length[i] / ten_area[i], -largest, largest);
-                    }
-                    store(out, start, &out_piece);
+                        slope[i] * sign * clamp(length[i] / l.ten_area[i], -largest, largest)
+                    });
                 }
                 if let Some(out) = block.stiffness_by_length.get() {
-                    for i in 0..CHUNK {
-                        out_piece[i] = slope[i] * clamp(fold[i] / ten_area[i], -largest, largest);
-                    }
-                    store(out, start, &out_piece);
+                    write(out, start, |i| slope[i] * clamp(l.fold[i] / l.ten_area[i], -largest, largest));
                 }
             }
             if let Some(out) = block.stiffness_by_parameter.get() {
                 for r in 0..BEND_ROWS {
                     for j in 0..BEND_COLUMNS {
-                        let mut out_piece = [zero; CHUNK];
-                        for i in 0..CHUNK {
-                            let s = piece.s[i];
+                        let parameter = FIRST_PARAMETER + r * BEND_COLUMNS + j;
+                        write(&mut out[parameter * n..(parameter + 1) * n], start, |i| {
+                            let s = l.s[i];
                             let before = if j == 0 { T::one() } else { ramp(s, j - 1) };
                             let behind = if j == BEND_COLUMNS - 1 { zero } else { ramp(s, j) };
-                            let share = piece.weights[r][i] * (before - behind);
-                            out_piece[i] = if piece.k[i] > zero { share } else { zero };
-                        }
-                        let parameter = FIRST_PARAMETER + r * BEND_COLUMNS + j;
-                        store(&mut out[parameter * n..(parameter + 1) * n], start, &out_piece);
+                            if l.k[i] > zero { l.weights[r][i] * (before - behind) } else { zero }
+                        });
                     }
                 }
             }

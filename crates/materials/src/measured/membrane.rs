@@ -4,7 +4,7 @@
 
 use super::fabrics::{STRETCH_COLUMNS, STRETCH_ROWS};
 use super::spec::{Form, StiffnessGradient};
-use crate::chunk::{CHUNK, Row, clamp, load, store, strain_limit};
+use crate::chunk::{CHUNK, Row, clamp, piece, strain_limit, write};
 use caphy_core::Real;
 use caphy_core::material::MembraneBlock;
 
@@ -120,29 +120,25 @@ pub(super) fn answer<T: Real, L: Lookup<T>>(lookup: &L, rule: Rule, block: &mut 
         out.fill(T::zero());
     }
 
+    let mut g = [[T::zero(); CHUNK]; 3];
+    let mut constants = [[T::zero(); 4]; CHUNK];
+    let mut spare = [T::zero(); CHUNK];
     let mut start = 0;
     while start < n {
-        let mut g = [load(guu, start), load(gvv, start), load(guv, start)];
-        for row in &mut g {
-            for value in row.iter_mut() {
-                *value = clamp(*value, -limit, limit);
+        for (held, row) in g.iter_mut().zip([guu, gvv, guv]) {
+            let given = piece(row, start, &mut spare);
+            for i in 0..CHUNK {
+                held[i] = clamp(given[i], -limit, limit);
             }
         }
         if held_wanted {
-            let mut constants = [[T::zero(); 4]; CHUNK];
             lookup.stiffness(&g, &mut constants);
-            let mut k = [[T::zero(); CHUNK]; 4];
             if rule.form == Form::Isotropic {
                 for entry in &mut constants {
                     *entry = rule.form.apply(*entry);
                 }
             }
-            for i in 0..CHUNK {
-                for a in 0..4 {
-                    k[a][i] = constants[i][a];
-                }
-            }
-            held_outputs(&g, &k, full, start, block);
+            held_outputs(&g, &constants, full, start, block);
         }
         if block.tangent_total.wanted() || (full && block.stress.wanted()) {
             moving_outputs(lookup, rule, &g, start, block);
@@ -156,43 +152,42 @@ pub(super) fn answer<T: Real, L: Lookup<T>>(lookup: &L, rule: Rule, block: &mut 
 
 /// Outputs that need k alone.
 #[inline(always)]
-fn held_outputs<T: Real>(g: &[Row<T>; 3], k: &[Row<T>; 4], full: bool, start: usize, block: &mut MembraneBlock<'_, T>) {
+fn held_outputs<T: Real>(
+    g: &[Row<T>; 3],
+    k: &Stiffness<T>,
+    full: bool,
+    start: usize,
+    block: &mut MembraneBlock<'_, T>,
+) {
     let n = block.count;
-    let mut piece = [T::zero(); CHUNK];
     if let Some(energy) = block.energy.get() {
         let half = T::of(0.5);
-        for i in 0..CHUNK {
+        write(energy, start, |i| {
             let (u, v, w) = (g[0][i], g[1][i], g[2][i]);
-            piece[i] = half * (k[0][i] * u * u + k[2][i] * v * v) + k[1][i] * u * v + k[3][i] * w * w;
-        }
-        store(energy, start, &piece);
+            half * (k[i][0] * u * u + k[i][2] * v * v) + k[i][1] * u * v + k[i][3] * w * w
+        });
     }
     if !full && let Some(stress) = block.stress.get() {
         let (suu, rest) = stress.split_at_mut(n);
         let (svv, suv) = rest.split_at_mut(n);
-        for i in 0..CHUNK {
-            piece[i] = k[0][i] * g[0][i] + k[1][i] * g[1][i];
-        }
-        store(suu, start, &piece);
-        for i in 0..CHUNK {
-            piece[i] = k[2][i] * g[1][i] + k[1][i] * g[0][i];
-        }
-        store(svv, start, &piece);
-        for i in 0..CHUNK {
-            piece[i] = k[3][i] * g[2][i];
-        }
-        store(suv, start, &piece);
+        write(suu, start, |i| k[i][0] * g[0][i] + k[i][1] * g[1][i]);
+        write(svv, start, |i| k[i][2] * g[1][i] + k[i][1] * g[0][i]);
+        write(suv, start, |i| k[i][3] * g[2][i]);
     }
     if let Some(out) = block.tangent_held.get() {
-        let zero = [T::zero(); CHUNK];
-        let rows = [&k[0], &k[1], &zero, &k[1], &k[2], &zero, &zero, &zero, &k[3]];
-        for (entry, row) in rows.into_iter().enumerate() {
-            store(&mut out[entry * n..(entry + 1) * n], start, row);
+        // Constant behind each entry of the 3x3 matrix; `None` is zero.
+        let constants = [Some(0), Some(1), None, Some(1), Some(2), None, None, None, Some(3)];
+        for (entry, constant) in constants.into_iter().enumerate() {
+            let row = &mut out[entry * n..(entry + 1) * n];
+            match constant {
+                Some(a) => write(row, start, |i| k[i][a]),
+                None => write(row, start, |_| T::zero()),
+            }
         }
     }
     if let Some(out) = block.stiffness.get() {
         for a in 0..4 {
-            store(&mut out[a * n..(a + 1) * n], start, &k[a]);
+            write(&mut out[a * n..(a + 1) * n], start, |i| k[i][a]);
         }
     }
 }

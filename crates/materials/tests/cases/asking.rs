@@ -1,28 +1,27 @@
 //! Whole answers of a material, widened to double precision.
 
-use caphy_core::Real;
 use caphy_core::material::{HingeBlock, MaterialModel, MaterialReal, MembraneBlock};
 use caphy_materials::measured::MaterialMeasuredSpec;
 
 /// Every output of a membrane block, element by element.
-pub struct Membrane {
-    pub energy: f64,
-    pub stress: [f64; 3],
-    pub held: [[f64; 3]; 3],
-    pub total: [[f64; 3]; 3],
-    pub stiffness: [f64; 4],
+pub(crate) struct Membrane {
+    pub(crate) energy: f64,
+    pub(crate) stress: [f64; 3],
+    pub(crate) held: [[f64; 3]; 3],
+    pub(crate) total: [[f64; 3]; 3],
+    pub(crate) stiffness: [f64; 4],
     /// [parameter][Suu, Svv, Suv]
-    pub by_parameter: Vec<[f64; 3]>,
+    pub(crate) by_parameter: Vec<[f64; 3]>,
 }
 
 impl Membrane {
-    pub fn values(&self) -> impl Iterator<Item = f64> {
+    pub(crate) fn values(&self) -> impl Iterator<Item = f64> {
         let matrices = self.held.iter().chain(&self.total).chain(&self.by_parameter).flatten();
         [self.energy].into_iter().chain(self.stress).chain(self.stiffness).chain(matrices.copied())
     }
 }
 
-pub fn membrane<T: MaterialReal>(model: &dyn MaterialModel, green: &[[f64; 3]]) -> Vec<Membrane> {
+pub(crate) fn membrane<T: MaterialReal>(model: &dyn MaterialModel, green: &[[f64; 3]]) -> Vec<Membrane> {
     let n = green.len();
     let p = model.parameters().len();
     let flat: Vec<T> = (0..3).flat_map(|c| green.iter().map(move |g| T::of(g[c]))).collect();
@@ -51,29 +50,29 @@ pub fn membrane<T: MaterialReal>(model: &dyn MaterialModel, green: &[[f64; 3]]) 
 }
 
 #[derive(Clone, Copy)]
-pub struct Hinge {
-    pub angle: f64,
-    pub rest: f64,
-    pub length: f64,
-    pub area: f64,
-    pub direction0: [f64; 2],
-    pub direction1: [f64; 2],
+pub(crate) struct Hinge {
+    pub(crate) angle: f64,
+    pub(crate) rest: f64,
+    pub(crate) length: f64,
+    pub(crate) area: f64,
+    pub(crate) direction0: [f64; 2],
+    pub(crate) direction1: [f64; 2],
 }
 
-pub struct Bending {
-    pub stiffness: f64,
-    pub by_angle: f64,
-    pub by_length: f64,
-    pub by_parameter: Vec<f64>,
+pub(crate) struct Bending {
+    pub(crate) stiffness: f64,
+    pub(crate) by_angle: f64,
+    pub(crate) by_length: f64,
+    pub(crate) by_parameter: Vec<f64>,
 }
 
 impl Bending {
-    pub fn values(&self) -> impl Iterator<Item = f64> {
+    pub(crate) fn values(&self) -> impl Iterator<Item = f64> {
         [self.stiffness, self.by_angle, self.by_length].into_iter().chain(self.by_parameter.iter().copied())
     }
 }
 
-pub fn hinges<T: MaterialReal>(model: &dyn MaterialModel, hinges: &[Hinge]) -> Vec<Bending> {
+pub(crate) fn hinges<T: MaterialReal>(model: &dyn MaterialModel, hinges: &[Hinge]) -> Vec<Bending> {
     let n = hinges.len();
     let p = model.parameters().len();
     let column = |f: &dyn Fn(&Hinge) -> f64| -> Vec<T> { hinges.iter().map(|h| T::of(f(h))).collect() };
@@ -108,13 +107,13 @@ pub fn hinges<T: MaterialReal>(model: &dyn MaterialModel, hinges: &[Hinge]) -> V
 }
 
 /// A measured fabric with some keys changed.
-pub fn measured(fabric: &str, change: impl Fn(&mut MaterialMeasuredSpec)) -> Box<dyn MaterialModel> {
+pub(crate) fn measured(fabric: &str, change: impl Fn(&mut MaterialMeasuredSpec)) -> Box<dyn MaterialModel> {
     let mut spec = MaterialMeasuredSpec::new(fabric);
     change(&mut spec);
     Box::new(spec.build_measured().unwrap())
 }
 
-pub const FABRICS: [&str; 10] = [
+pub(crate) const FABRICS: [&str; 10] = [
     "ivory-rib-knit",
     "pink-ribbon-brown",
     "white-dots-on-blk",
@@ -128,13 +127,13 @@ pub const FABRICS: [&str; 10] = [
 ];
 
 /// Strains of a low-discrepancy sequence, |G| ≤ `scale`.
-pub fn strains(count: usize, scale: f64) -> Vec<[f64; 3]> {
+pub(crate) fn strains(count: usize, scale: f64) -> Vec<[f64; 3]> {
     let r = [0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_967_1];
     (1..=count).map(|i| r.map(|r| scale * ((i as f64 * r).fract() * 2.0 - 1.0))).collect()
 }
 
 /// Hinges of the same kind: every fold direction, both signs, seams, curvatures around the table's range.
-pub fn folds(count: usize) -> Vec<Hinge> {
+pub(crate) fn folds(count: usize) -> Vec<Hinge> {
     strains(count, 1.0)
         .into_iter()
         .enumerate()

@@ -62,7 +62,7 @@ fn total_tangent_is_the_slope_of_the_stress() {
             let mut grid = inside_cells(80, 0.3);
             // The direct lookup has kinks of its own: keep its stencil away from the angle rows and stretch ends.
             if name.contains("Direct") {
-                grid.retain(|g| smooth_for_direct(g));
+                grid.retain(smooth_for_direct);
                 assert!(grid.len() > 15, "{}", grid.len());
             }
             for (g, a) in grid.iter().zip(membrane::<f64>(model.as_ref(), &grid)) {
@@ -204,10 +204,8 @@ fn bending_slopes_and_parameters() {
                 assert!((by_length - a.by_length).abs() < 1e-6 * by_length.abs() + 1e-9, "{fabric} {by_length:e}");
                 // Linear in the entries: Euler's theorem holds to rounding, clamp included.
                 let sum: f64 = values.iter().zip(&a.by_parameter).map(|(v, d)| v * d).sum();
-                assert!(
-                    (sum - a.stiffness).abs() < 1e-11 * (1.0 + h.angle.abs() / h.area * h.length) * 1e-3,
-                    "{fabric}"
-                );
+                let size: f64 = values.iter().zip(&a.by_parameter).map(|(v, d)| (v * d).abs()).sum();
+                assert!((sum - a.stiffness).abs() <= 1e-13 * size, "{fabric}: {sum:e} {:e}", a.stiffness);
                 assert!(a.by_parameter[..24].iter().all(|d| *d == 0.0));
             }
         }

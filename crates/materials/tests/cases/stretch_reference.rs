@@ -113,3 +113,14 @@ fn isotropic_form_is_the_rotational_average() {
         assert!((k[0] - k[1] - k[3]).abs() < 1e-9 && k[0] == k[2], "{fabric}: {k:?}");
     }
 }
+
+#[test]
+fn the_shipped_catalogue_is_the_reference_one() {
+    let shared = std::env::var("CAPHY_SHARED")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared").to_owned());
+    let path = std::path::Path::new(&shared).join("reference/fabrics.json");
+    match std::fs::read_to_string(&path) {
+        Ok(reference) => assert_eq!(reference, include_str!("../../src/fabrics.json")),
+        Err(problem) => println!("SKIPPED: the shipped catalogue was not compared, {}: {problem}", path.display()),
+    }
+}
