@@ -122,12 +122,22 @@ impl DistanceGrid {
             visit(z > 0, at.wrapping_sub(plane));
             visit(z + 1 < nz, at + plane);
         }
+        // Nodes too near to the surface to be reached: outside when they face it from outside and the outside is next to them.
+        let beside_outside = |at: usize| {
+            let (x, y, z) = (at % nx, (at / nx) % ny, at / plane);
+            (x > 0 && outside[at - 1])
+                || (x + 1 < nx && outside[at + 1])
+                || (y > 0 && outside[at - nx])
+                || (y + 1 < ny && outside[at + nx])
+                || (z > 0 && outside[at - plane])
+                || (z + 1 < nz && outside[at + plane])
+        };
         let values = nearest
             .iter()
-            .zip(&outside)
-            .map(|(&(d2, cosine), &out)| {
+            .enumerate()
+            .map(|(at, &(d2, cosine))| {
                 let d = d2.sqrt().min(BAND as f32);
-                if out || (d2 <= free && cosine >= 0.0) { d } else { -d }
+                if outside[at] || (d2 <= free && cosine >= 0.0 && beside_outside(at)) { d } else { -d }
             })
             .collect();
         Self { origin: low, size, values }

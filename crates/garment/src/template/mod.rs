@@ -168,7 +168,7 @@ impl Tailor {
             Style::Upper(s) => Shape::upper(&self.marks, &self.grid, s, gap),
             Style::Lower(s) => Shape::lower(&self.marks, &self.grid, s, gap),
         };
-        let raw = surface::extract(&shape, (0.7 * resolution_m).min(0.018));
+        let raw = surface::extract(&shape, (0.85 * resolution_m).min(0.02));
         let (mut mesh, cuts) = remesh::remesh(&shape, &raw, resolution_m);
         self.push_out(&mut mesh);
         let loops = named_loops(&shape, &mesh, &cuts, style)?;

@@ -5,7 +5,24 @@ use caphy_core::{TriMesh, Vec3};
 
 /// Cut of a vertex that lies on none.
 pub(crate) const INTERIOR: u8 = u8::MAX;
+/// Edges sharper than this angle's cosine (50°) are eased, so many times at most.
+const CREASE_COSINE: f64 = 0.643;
+const CREASE_ROUNDS: usize = 12;
 const DEAD: [u32; 3] = [u32::MAX; 3];
+
+/// The one or two faces at an edge.
+#[derive(Clone, Copy)]
+struct EdgeFaces {
+    ids: [u32; 2],
+    count: usize,
+}
+
+impl std::ops::Deref for EdgeFaces {
+    type Target = [u32];
+    fn deref(&self) -> &[u32] {
+        &self.ids[..self.count]
+    }
+}
 
 struct Remesher<'a, 'b> {
     shape: &'a Shape<'b>,
@@ -14,6 +31,8 @@ struct Remesher<'a, 'b> {
     /// Cut that a boundary vertex lies on, or [`INTERIOR`].
     cut: Vec<u8>,
     faces: Vec<[u32; 3]>,
+    /// Vertices that have left the level function.
+    free: Vec<bool>,
     /// Faces around each vertex.
     around: Vec<Vec<u32>>,
 }
@@ -22,7 +41,8 @@ struct Remesher<'a, 'b> {
 pub(crate) fn remesh(shape: &Shape<'_>, mesh: &TriMesh, target: f64) -> (TriMesh, Vec<u8>) {
     let mut r = Remesher::new(shape, mesh, target);
     // From coarse edits to fine ones: first the number of vertices, then their places.
-    for round in 0..7 {
+    for round in 0..6 {
+        r.trim_ears();
         r.split_long(1.35 * target);
         r.collapse_short(0.78 * target);
         r.flip();
@@ -32,6 +52,7 @@ pub(crate) fn remesh(shape: &Shape<'_>, mesh: &TriMesh, target: f64) -> (TriMesh
         r.flip();
         r.relax(0.9);
     }
+    r.ease_creases();
     r.finish()
 }
 
@@ -43,6 +64,7 @@ impl<'a, 'b> Remesher<'a, 'b> {
             vertices: mesh.vertices.clone(),
             cut: vec![INTERIOR; mesh.vertices.len()],
             faces: mesh.faces.clone(),
+            free: Vec::new(),
             around: vec![Vec::new(); mesh.vertices.len()],
         };
         for (f, face) in r.faces.iter().enumerate() {
@@ -62,23 +84,26 @@ impl<'a, 'b> Remesher<'a, 'b> {
         }
         r
     }
-    /// Edges once each, in a fixed order.
+    /// Edges once each, in the order of faces. Neighbouring faces run along an edge in opposite senses: one of them low to high.
     fn edges(&self) -> Vec<(u32, u32)> {
-        let mut edges: Vec<(u32, u32)> = self
-            .faces
-            .iter()
-            .filter(|f| **f != DEAD)
-            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)].map(|(a, b)| (a.min(b), a.max(b))))
-            .collect();
-        edges.sort_unstable();
-        edges.dedup();
-        edges
+        let sides = self.faces.iter().filter(|f| **f != DEAD).flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
+        sides
+            .filter(|&(a, b)| a < b || self.edge_faces(a, b).len() == 1)
+            .map(|(a, b)| (a.min(b), a.max(b)))
+            .collect()
     }
     fn length(&self, a: u32, b: u32) -> f64 {
         (self.vertices[a as usize] - self.vertices[b as usize]).norm()
     }
-    fn edge_faces(&self, a: u32, b: u32) -> Vec<u32> {
-        self.around[a as usize].iter().copied().filter(|&f| self.faces[f as usize].contains(&b)).collect()
+    fn edge_faces(&self, a: u32, b: u32) -> EdgeFaces {
+        let mut out = EdgeFaces { ids: [0; 2], count: 0 };
+        for &f in &self.around[a as usize] {
+            if out.count < 2 && self.faces[f as usize].contains(&b) {
+                out.ids[out.count] = f;
+                out.count += 1;
+            }
+        }
+        out
     }
     fn neighbours(&self, v: u32) -> Vec<u32> {
         let mut out: Vec<u32> = self.around[v as usize]
@@ -128,7 +153,7 @@ impl<'a, 'b> Remesher<'a, 'b> {
             self.vertices.push((self.vertices[a as usize] + self.vertices[b as usize]) * 0.5);
             self.cut.push(if faces.len() == 1 { self.cut[a as usize] } else { INTERIOR });
             self.around.push(Vec::new());
-            for f in faces {
+            for &f in faces.iter() {
                 let old = self.faces[f as usize];
                 let added = self.faces.len() as u32;
                 // The old face keeps a's side, the new one takes b's.
@@ -158,7 +183,9 @@ impl<'a, 'b> Remesher<'a, 'b> {
         }
         let (near_a, near_b) = (self.neighbours(a), self.neighbours(b));
         let common = near_a.iter().filter(|v| near_b.binary_search(v).is_ok()).count();
-        if common != shared.len() || near_a.len() + near_b.len() < 8 {
+        // What is left around the merged vertex: at least four neighbours, three on a cut.
+        let fewest = if shared.len() == 1 { 6 } else { 8 };
+        if common != shared.len() || near_a.len() + near_b.len() < fewest {
             return;
         }
         let (pa, pb) = (self.vertices[a as usize], self.vertices[b as usize]);
@@ -187,7 +214,7 @@ impl<'a, 'b> Remesher<'a, 'b> {
                 }
             }
         }
-        for &f in &shared {
+        for &f in shared.iter() {
             for v in self.faces[f as usize] {
                 self.around[v as usize].retain(|&g| g != f);
             }
@@ -207,12 +234,29 @@ impl<'a, 'b> Remesher<'a, 'b> {
         self.vertices[a as usize] = place;
     }
 
+    /// Drops triangles that hang on the rest by one edge only.
+    fn trim_ears(&mut self) {
+        for v in 0..self.vertices.len() {
+            if let &[f] = self.around[v].as_slice() {
+                let face = self.faces[f as usize];
+                if face.iter().any(|&w| w as usize != v && self.around[w as usize].len() < 2) {
+                    continue;
+                }
+                for w in face {
+                    self.around[w as usize].retain(|&g| g != f);
+                }
+                self.faces[f as usize] = DEAD;
+                self.cut[v] = INTERIOR;
+            }
+        }
+    }
+
     /// Flips edges whose flip brings the numbers of neighbours nearer to six (four on a cut), or, at equal numbers, the two
     /// angles that face the edge nearer to Delaunay's.
     fn flip(&mut self) {
         for (a, b) in self.edges() {
             let faces = self.edge_faces(a, b);
-            let &[f, g] = faces.as_slice() else { continue };
+            let &[f, g] = &*faces else { continue };
             let (c, d) = (self.opposite(f, a, b), self.opposite(g, a, b));
             if c == d || !self.edge_faces(c, d).is_empty() || (self.on_cut(c) && self.on_cut(d)) {
                 continue;
@@ -298,13 +342,44 @@ impl<'a, 'b> Remesher<'a, 'b> {
         self.vertices = next;
     }
 
+    /// Rounds what the mesh is too coarse to follow (a crotch between close thighs): vertices at sharp edges leave the level
+    /// function for the middle of their neighbours.
+    fn ease_creases(&mut self) {
+        self.free = vec![false; self.vertices.len()];
+        for _ in 0..CREASE_ROUNDS {
+            let mut sharp = vec![false; self.vertices.len()];
+            for (a, b) in self.edges() {
+                if let &[f, g] = &*self.edge_faces(a, b) {
+                    let (n, m) = (self.normal(&self.faces[f as usize]), self.normal(&self.faces[g as usize]));
+                    if n.dot(&m) < CREASE_COSINE * n.norm() * m.norm() {
+                        for v in [a, b, self.opposite(f, a, b), self.opposite(g, a, b)] {
+                            sharp[v as usize] = !self.on_cut(v) || sharp[v as usize];
+                        }
+                    }
+                }
+            }
+            if !sharp.contains(&true) {
+                return;
+            }
+            let mut next = self.vertices.clone();
+            for v in (0..sharp.len()).filter(|&v| sharp[v]) {
+                let near = self.neighbours(v as u32);
+                let mean = near.iter().map(|&w| self.vertices[w as usize]).sum::<Vec3>() / near.len().max(1) as f64;
+                next[v] = self.vertices[v].lerp(&mean, 0.3);
+                self.free[v] = true;
+            }
+            self.vertices = next;
+        }
+    }
+
     fn finish(self) -> (TriMesh, Vec<u8>) {
         let mut id = vec![u32::MAX; self.vertices.len()];
         let (mut vertices, mut cut) = (Vec::new(), Vec::new());
         for v in 0..self.vertices.len() {
             if !self.around[v].is_empty() {
                 id[v] = vertices.len() as u32;
-                vertices.push(self.project(v, self.vertices[v], 6));
+                let p = self.vertices[v];
+                vertices.push(if self.free[v] { p } else { self.project(v, p, 6) });
                 cut.push(self.cut[v]);
             }
         }

@@ -12,7 +12,7 @@ use caphy_core::Vec3;
 /// Least distance of cloth from skin where the style is tight [m].
 pub(crate) const GAP: f64 = 0.005;
 /// Half the distance between the two legs of wide trousers [m].
-const LEG_GAP: f64 = 0.004;
+const LEG_GAP: f64 = 0.007;
 
 /// Where a garment ends: what lies at positive values is cut away.
 #[derive(Debug, Clone)]
@@ -166,7 +166,7 @@ impl<'a> Shape<'a> {
         let loose = style.looseness;
         let slope = hang_slope(loose);
         let base = marks.trunk.axes.origin.y;
-        let waist = marks.crotch + (0.55 + 0.45 * style.rise) * (marks.waist - marks.crotch);
+        let waist = marks.crotch + (0.48 + 0.52 * style.rise) * (marks.waist - marks.crotch);
         let mut trunk = marks.trunk.clone();
         trunk.smooth(0.015);
         // The waistband holds the trousers up: ease begins below it.
@@ -207,7 +207,7 @@ impl<'a> Shape<'a> {
         if let Parts::Lower { legs, .. } = &shape.parts {
             for side in 0..2 {
                 let (hip, along) = (legs[side].axes.origin, legs[side].axes.along);
-                let longest = marks.leg_length[side] - 0.03;
+                let longest = marks.leg_length[side] - 0.01;
                 let shortest = (legs[side].axes.along_of(&Vec3::new(hip.x, fork, hip.z)) + 0.035).min(longest);
                 let end = shortest + style.leg_length * (longest - shortest);
                 let point = hip + along * end;
@@ -331,7 +331,7 @@ fn neckline(marks: &Landmarks, depth: f64) -> Cut {
     let w = marks.neck_half_width;
     let centre = Vec3::new(marks.trunk.axes.origin.x, marks.neck_base - 0.008 * depth, marks.neck_depth);
     let drop = 0.03 + 0.09 * depth;
-    let bowl = (drop + 0.02) / (w * (1.7 + 0.5 * depth)).powi(2);
+    let bowl = 0.6 * drop / (w * 1.6).powi(2);
     Cut { name: "neck", surface: CutSurface::Neckline { centre, drop, depth: w * 1.1, bowl } }
 }
 

@@ -13,6 +13,15 @@ pub enum GarmentKind {
     Lower,
 }
 
+impl std::fmt::Display for GarmentKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Upper => "upper",
+            Self::Lower => "lower",
+        })
+    }
+}
+
 /// Style of a shirt. Lengths are fractions of the body's own, so that a style means the same on every body.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -1,0 +1,102 @@
+//! Choosing a template by Chamfer distance, posing it, and refining its style.
+
+use super::{body, shirt, trousers};
+use caphy_core::{Error, Vec3};
+use caphy_garment::template::{
+    ChooseOptions, GarmentKind, Tailor, Template, choose_template, pose_by_nearest_vertex, pose_by_weights,
+    refine_style, sample_styles,
+};
+use nalgebra::{Matrix3x4, Rotation3};
+
+fn vertices(t: &Template) -> Vec<Vec3> {
+    t.mesh.vertices.clone()
+}
+
+#[test]
+fn the_garment_itself_is_found_among_samples() {
+    let tailor = Tailor::new(body::capsules()).unwrap();
+    let styles = sample_styles(GarmentKind::Upper, 12, 5);
+    let candidates: Vec<Vec<Vec3>> = tailor.generate_all(&styles, 0.03).unwrap().iter().map(vertices).collect();
+    // The scan is the same garment at another resolution.
+    let scan = vertices(&tailor.generate(&styles[7], 0.02).unwrap());
+    let choice = choose_template(&candidates, &scan, &ChooseOptions::default()).unwrap();
+    assert_eq!(choice.index, 7);
+    assert_eq!(choice.report.len(), 12);
+    let best = choice.report[7];
+    // Nearest vertices of a 3 cm mesh are within its edge length; all others differ by more.
+    assert!(best.scan_to_garment < 0.02 && best.garment_to_scan < 0.02 && best.counted == 1.0, "{best:?}");
+    assert!(choice.report.iter().enumerate().all(|(i, r)| i == 7 || r.squared > 1.2 * best.squared));
+}
+
+#[test]
+fn what_the_other_garment_hides_does_not_count() {
+    let tailor = Tailor::new(body::capsules()).unwrap();
+    let styles = [0.0, 0.5, 1.0].map(|rise| trousers(0.8, 0.02, rise));
+    let candidates: Vec<Vec<Vec3>> = styles.iter().map(|s| vertices(&tailor.generate(s, 0.03).unwrap())).collect();
+    // Trousers of full rise, seen only below the shirt's hem.
+    let over = vertices(&tailor.generate(&shirt(0.3, 0.6, 0.03, 0.2), 0.02).unwrap());
+    let hem = over.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
+    let seen: Vec<Vec3> =
+        vertices(&tailor.generate(&styles[2], 0.02).unwrap()).into_iter().filter(|p| p.y < hem).collect();
+    let plain = choose_template(&candidates, &seen, &ChooseOptions::default()).unwrap();
+    let covered = choose_template(&candidates, &seen, &ChooseOptions { covered_by: &over }).unwrap();
+    // Without the option the hidden waist counts against the high rise.
+    assert_eq!(plain.index, 0);
+    assert!(plain.report[2].squared > 2.0 * plain.report[0].squared);
+    assert!(covered.report[2].counted < 0.95);
+    assert!(covered.report[2].squared < 0.5 * plain.report[2].squared);
+}
+
+#[test]
+fn refinement_comes_nearer_to_the_style() {
+    let tailor = Tailor::new(body::capsules()).unwrap();
+    let truth = shirt(0.42, 0.55, 0.012, 0.3);
+    let scan = vertices(&tailor.generate(&truth, 0.02).unwrap());
+    let start = shirt(0.55, 0.45, 0.02, 0.4);
+    let found =
+        refine_style(&tailor, &start, 0.03, &scan, &ChooseOptions::default(), 40, |t| Ok(vertices(t))).unwrap();
+    assert!(found.evaluations <= 40);
+    assert_eq!(found.template.style, found.style);
+    let off = |s: &caphy_garment::template::Style| {
+        let (a, b) = (s.to_unit(), truth.to_unit());
+        (a[0] - b[0]).abs().max((a[1] - b[1]).abs())
+    };
+    // Lengths are what a scan shows best: within a twentieth of their range.
+    assert!(off(&found.style) < 0.05 && off(&start) > 0.09, "{:?}", found.style);
+}
+
+#[test]
+fn posing_moves_vertices_with_the_body() {
+    let body = body::capsules();
+    let tailor = Tailor::new(body.clone()).unwrap();
+    let t = tailor.generate(&shirt(0.3, 0.4, 0.01, 0.2), 0.03).unwrap();
+    let turn = Rotation3::from_scaled_axis(Vec3::new(0.1, 0.7, -0.2));
+    let shift = Vec3::new(0.3, -0.1, 2.0);
+    let mut rigid = Matrix3x4::zeros();
+    rigid.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
+    rigid.set_column(3, &shift);
+    let posed = pose_by_nearest_vertex(&t, &body.weights, &[rigid; 55]).unwrap();
+    for (p, q) in t.mesh.vertices.iter().zip(&posed) {
+        assert!((turn * p + shift - q).norm() < 1e-12);
+    }
+    let rows = t.weights_body_vertex.iter().map(|&v| body.weights.row(v as usize).map(|(j, w)| (j as u16, w)).collect());
+    let own = caphy_core::body::BlendWeights::from_rows(rows);
+    assert_eq!(pose_by_weights(&t.mesh.vertices, &own, &[rigid; 55]).unwrap(), posed);
+    assert!(pose_by_nearest_vertex(&t, &body.weights, &[rigid; 3]).is_err());
+    assert!(pose_by_weights(&t.mesh.vertices[1..], &own, &[rigid; 55]).is_err());
+}
+
+#[test]
+fn a_choice_without_points_or_candidates_is_refused() {
+    let options = ChooseOptions::default();
+    let points = vec![Vec3::zeros()];
+    assert!(choose_template(&[], &points, &options).unwrap_err().to_string().contains("no candidates"));
+    let text = choose_template(&[points.clone()], &[], &options).unwrap_err().to_string();
+    assert!(text.contains("segmentation"), "{text}");
+    let nan = vec![Vec3::repeat(f64::NAN)];
+    assert!(matches!(choose_template(&[nan.clone()], &points, &options), Err(Error::NonFinite { .. })));
+    assert!(matches!(choose_template(&[points.clone()], &nan, &options), Err(Error::NonFinite { .. })));
+    let empty = choose_template(&[Vec::new(), points.clone()], &points, &options).unwrap();
+    assert_eq!(empty.index, 1);
+    assert!(empty.report[0].squared.is_infinite());
+}
