@@ -74,17 +74,16 @@ simd_kernel! {
         for (i, (&v, &k)) in held.0.iter().zip(held.1).enumerate() {
             let k = weight * k;
             let (x, t) = (row(x, v), row(targets, i as u32));
-            let mut g = [[T::zero(); MAX_LANES]; 3];
-            let mut square = [T::zero(); MAX_LANES];
-            for axis in 0..3 {
-                for l in 0..lanes {
-                    let r = x[axis * lanes + l] - t[axis * lanes + l];
-                    square[l] += r * r;
-                    g[axis][l] = k * r;
-                }
-            }
+            let mut g = [T::zero(); 3 * MAX_LANES];
             for l in 0..lanes {
-                energy[l] += (half * k * square[l]).to_f64();
+                let mut square = T::zero();
+                for axis in 0..3 {
+                    let i = axis * lanes + l;
+                    let r = x[i] - t[i];
+                    square += r * r;
+                    g[i] = k * r;
+                }
+                energy[l] += (half * k * square).to_f64();
             }
             if wanted {
                 add_row(gradient, v, &g);

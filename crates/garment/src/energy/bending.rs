@@ -187,7 +187,7 @@ simd_kernel! {
             let (x0, x1, x2, x3) = (row(x, x0), row(x, x1), row(x, x2), row(x, x3));
             let mut angle = [T::zero(); MAX_LANES];
             let mut length = [T::zero(); MAX_LANES];
-            let mut keep = [[T::zero(); MAX_LANES]; KEPT];
+            let keep = &mut kept[i * KEPT * lanes..][..KEPT * lanes];
             for l in 0..lanes {
                 let (m, n) = (lanes + l, 2 * lanes + l);
                 let (ex, ey, ez) = (x1[l] - x0[l], x1[m] - x0[m], x1[n] - x0[n]);
@@ -207,17 +207,17 @@ simd_kernel! {
                 let sp = edge / if pp > least { pp } else { least };
                 let sq = edge / if qq > least { qq } else { least };
                 let (inverse, direction) = (T::one() / (ee + tiny), T::one() / (edge + tiny));
-                keep[0][l] = px * sp;
-                keep[1][l] = py * sp;
-                keep[2][l] = pz * sp;
-                keep[3][l] = qx * sq;
-                keep[4][l] = qy * sq;
-                keep[5][l] = qz * sq;
-                keep[6][l] = (ax * ex + ay * ey + az * ez) * inverse;
-                keep[7][l] = (bx * ex + by * ey + bz * ez) * inverse;
-                keep[8][l] = ex * direction;
-                keep[9][l] = ey * direction;
-                keep[10][l] = ez * direction;
+                keep[l] = px * sp;
+                keep[lanes + l] = py * sp;
+                keep[2 * lanes + l] = pz * sp;
+                keep[3 * lanes + l] = qx * sq;
+                keep[4 * lanes + l] = qy * sq;
+                keep[5 * lanes + l] = qz * sq;
+                keep[6 * lanes + l] = (ax * ex + ay * ey + az * ez) * inverse;
+                keep[7 * lanes + l] = (bx * ex + by * ey + bz * ez) * inverse;
+                keep[8 * lanes + l] = ex * direction;
+                keep[9 * lanes + l] = ey * direction;
+                keep[10 * lanes + l] = ez * direction;
             }
             let at = i * lanes;
             input.angle[at..][..lanes].copy_from_slice(&angle[..lanes]);
@@ -231,9 +231,6 @@ simd_kernel! {
             for k in 0..2 {
                 input.direction0[k * count + at..][..lanes].fill(hinge.direction0[k]);
                 input.direction1[k * count + at..][..lanes].fill(hinge.direction1[k]);
-            }
-            for k in 0..KEPT {
-                kept[(i * KEPT + k) * lanes..][..lanes].copy_from_slice(&keep[k][..lanes]);
             }
         }
     }
@@ -273,6 +270,7 @@ simd_kernel! {
         gradient: &mut [T],
     ) {
         let lanes = T::LANES;
+        let flow = if length_flows { T::one() } else { T::zero() };
         for (i, hinge) in chunk.iter().enumerate() {
             let factor = weight * hinge.weight / (T::of(8.0) * hinge.area);
             let at = i * lanes;
@@ -286,29 +284,30 @@ simd_kernel! {
                 let fold = angle[l] - hinge.angle;
                 // dE/dτ and dE/dl.
                 turn[l] = factor * length[l] * length[l] * fold * (k[l] + k[l] + by_angle[l] * fold);
-                pull[l] = factor * fold * fold * length[l] * (k[l] + k[l] + by_length[l] * length[l]);
+                pull[l] = flow * factor * fold * fold * length[l] * (k[l] + k[l] + by_length[l] * length[l]);
             }
-            let mut g = [[[T::zero(); MAX_LANES]; 3]; 4];
+            let mut g0 = [T::zero(); 3 * MAX_LANES];
+            let mut g1 = [T::zero(); 3 * MAX_LANES];
+            let mut g2 = [T::zero(); 3 * MAX_LANES];
+            let mut g3 = [T::zero(); 3 * MAX_LANES];
             for axis in 0..3 {
                 for l in 0..lanes {
-                    let (g2, g3) = (turn[l] * kept[axis * lanes + l], turn[l] * kept[(3 + axis) * lanes + l]);
-                    let along = kept[6 * lanes + l] * g2 + kept[7 * lanes + l] * g3;
-                    g[2][axis][l] = g2;
-                    g[3][axis][l] = g3;
-                    g[1][axis][l] = -along;
-                    g[0][axis][l] = along - g2 - g3;
-                }
-                if length_flows {
-                    for l in 0..lanes {
-                        let stretch = pull[l] * kept[(8 + axis) * lanes + l];
-                        g[1][axis][l] += stretch;
-                        g[0][axis][l] -= stretch;
-                    }
+                    let i = axis * lanes + l;
+                    let (a, b) = (turn[l] * kept[i], turn[l] * kept[3 * lanes + i]);
+                    // The foot of each height shares the opposite of its force between the edge's ends.
+                    let along = kept[6 * lanes + l] * a + kept[7 * lanes + l] * b;
+                    let stretch = pull[l] * kept[8 * lanes + i];
+                    g2[i] = a;
+                    g3[i] = b;
+                    g1[i] = stretch - along;
+                    g0[i] = along - a - b - stretch;
                 }
             }
-            for (vertex, g) in hinge.vertices.iter().zip(&g) {
-                add_row(gradient, *vertex, g);
-            }
+            let [x0, x1, x2, x3] = hinge.vertices;
+            add_row(gradient, x0, &g0);
+            add_row(gradient, x1, &g1);
+            add_row(gradient, x2, &g2);
+            add_row(gradient, x3, &g3);
         }
     }
 }

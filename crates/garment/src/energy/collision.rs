@@ -252,21 +252,20 @@ simd_kernel! {
         for (v, (&w, ids)) in weights.iter().zip(nearest.chunks_exact(lanes)).enumerate() {
             let w = w * weight;
             let x = row(x, v as u32);
-            let mut p = [[T::zero(); MAX_LANES]; 3];
-            let mut n = [[T::zero(); MAX_LANES]; 3];
+            let mut p = [T::zero(); 3 * MAX_LANES];
+            let mut n = [T::zero(); 3 * MAX_LANES];
             for l in 0..lanes {
                 let at = ids[l] as usize * 3 * lanes + l;
                 for axis in 0..3 {
-                    p[axis][l] = points[at + axis * lanes];
-                    n[axis][l] = normals[at + axis * lanes];
+                    p[axis * lanes + l] = points[at + axis * lanes];
+                    n[axis * lanes + l] = normals[at + axis * lanes];
                 }
             }
             let mut depth = [T::zero(); MAX_LANES];
             let mut touched = false;
             for l in 0..lanes {
-                let d = n[0][l] * (x[l] - p[0][l])
-                    + n[1][l] * (x[lanes + l] - p[1][l])
-                    + n[2][l] * (x[2 * lanes + l] - p[2][l]);
+                let (i, j) = (lanes + l, 2 * lanes + l);
+                let d = n[l] * (x[l] - p[l]) + n[i] * (x[i] - p[i]) + n[j] * (x[j] - p[j]);
                 // Written so that NaN counts as depth and is found out.
                 depth[l] = if d >= margin { T::zero() } else { margin - d };
                 touched |= depth[l] != T::zero();
@@ -274,14 +273,14 @@ simd_kernel! {
             if !touched {
                 continue;
             }
-            let mut g = [[T::zero(); MAX_LANES]; 3];
+            let mut g = [T::zero(); 3 * MAX_LANES];
             for l in 0..lanes {
                 let square = w * depth[l] * depth[l];
                 energy[l] += (square * depth[l]).to_f64();
                 let push = -three * square;
-                g[0][l] = push * n[0][l];
-                g[1][l] = push * n[1][l];
-                g[2][l] = push * n[2][l];
+                for axis in 0..3 {
+                    g[axis * lanes + l] = push * n[axis * lanes + l];
+                }
             }
             if wanted {
                 add_row(gradient, v as u32, &g);

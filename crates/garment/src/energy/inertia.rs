@@ -100,18 +100,16 @@ simd_kernel! {
         for (v, &m) in masses.iter().enumerate() {
             let (x, y, z) = (row(now, v as u32), row(past.0, v as u32), row(past.1, v as u32));
             let fm = factor * m;
-            let mut g = [[T::zero(); MAX_LANES]; 3];
-            let mut square = [T::zero(); MAX_LANES];
-            for axis in 0..3 {
-                for l in 0..lanes {
+            let mut g = [T::zero(); 3 * MAX_LANES];
+            for l in 0..lanes {
+                let mut square = T::zero();
+                for axis in 0..3 {
                     let i = axis * lanes + l;
                     let r = (x[i] - y[i]) - (y[i] - z[i]);
-                    square[l] += r * r;
-                    g[axis][l] = fm * r;
+                    square += r * r;
+                    g[i] = fm * r;
                 }
-            }
-            for l in 0..lanes {
-                energy[l] += (half * fm * square[l]).to_f64();
+                energy[l] += (half * fm * square).to_f64();
             }
             if wanted {
                 add_row(gradient, v as u32, &g);

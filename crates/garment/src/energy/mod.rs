@@ -200,15 +200,19 @@ fn row<T: Real>(values: &[T], vertex: u32) -> &[T] {
     &values[vertex as usize * n..][..n]
 }
 
+/// Lane values of one vertex on a kernel's stack, `[xyz][lane]` with `T::LANES` lanes (f64 leaves the rest unused).
+///
+/// Kernels keep the lane loop outermost and these rows flat: nested as arrays of arrays, the compiler unrolls the lanes and
+/// vectorises across components, with gathers.
+type Row<T> = [T; 3 * MAX_LANES];
+
 /// Adds lane values to one vertex of a block.
 #[inline(always)]
-fn add_row<T: Real>(values: &mut [T], vertex: u32, add: &[[T; MAX_LANES]; 3]) {
+fn add_row<T: Real>(values: &mut [T], vertex: u32, add: &Row<T>) {
     let n = 3 * T::LANES;
     let out = &mut values[vertex as usize * n..][..n];
-    for axis in 0..3 {
-        for l in 0..T::LANES {
-            out[axis * T::LANES + l] += add[axis][l];
-        }
+    for i in 0..n {
+        out[i] += add[i];
     }
 }
 

@@ -31,19 +31,19 @@ simd_kernel! {
     fn block_normals<T>(faces: &[[u32; 3]], x: &[T], normals: &mut [T]) {
         let lanes = T::LANES;
         for face in faces {
-            let [a, b, c] = face.map(|id| row(x, id));
-            let mut n = [[T::zero(); MAX_LANES]; 3];
+            let (a, b, c) = (row(x, face[0]), row(x, face[1]), row(x, face[2]));
+            let mut n = [T::zero(); 3 * MAX_LANES];
             for l in 0..lanes {
                 let (i, j) = (lanes + l, 2 * lanes + l);
                 let (ux, uy, uz) = (b[l] - a[l], b[i] - a[i], b[j] - a[j]);
                 let (vx, vy, vz) = (c[l] - a[l], c[i] - a[i], c[j] - a[j]);
-                n[0][l] = uy * vz - uz * vy;
-                n[1][l] = uz * vx - ux * vz;
-                n[2][l] = ux * vy - uy * vx;
+                n[l] = uy * vz - uz * vy;
+                n[i] = uz * vx - ux * vz;
+                n[j] = ux * vy - uy * vx;
             }
-            for &id in face {
-                add_row(normals, id, &n);
-            }
+            add_row(normals, face[0], &n);
+            add_row(normals, face[1], &n);
+            add_row(normals, face[2], &n);
         }
         for n in normals.chunks_exact_mut(3 * lanes) {
             for l in 0..lanes {

@@ -106,7 +106,8 @@ simd_kernel! {
             let [a, b, c] = triangle.vertices;
             let (a, b, c) = (row(x, a), row(x, b), row(x, c));
             let [m00, m01, m10, m11] = triangle.dm_inverse;
-            let mut out = [[T::zero(); MAX_LANES]; 9];
+            let f = &mut deformation[e * 6 * lanes..][..6 * lanes];
+            let mut strain = [T::zero(); 3 * MAX_LANES];
             for l in 0..lanes {
                 let (mut uu, mut vv, mut uv) = (T::zero(), T::zero(), T::zero());
                 for k in 0..3 {
@@ -116,18 +117,15 @@ simd_kernel! {
                     uu += fu * fu;
                     vv += fv * fv;
                     uv += fu * fv;
-                    out[k][l] = fu;
-                    out[3 + k][l] = fv;
+                    f[i] = fu;
+                    f[3 * lanes + i] = fv;
                 }
-                out[6][l] = half * (uu - T::one());
-                out[7][l] = half * (vv - T::one());
-                out[8][l] = half * uv;
-            }
-            for k in 0..6 {
-                deformation[(e * 6 + k) * lanes..][..lanes].copy_from_slice(&out[k][..lanes]);
+                strain[l] = half * (uu - T::one());
+                strain[lanes + l] = half * (vv - T::one());
+                strain[2 * lanes + l] = half * uv;
             }
             for k in 0..3 {
-                green[k * count + e * lanes..][..lanes].copy_from_slice(&out[6 + k][..lanes]);
+                green[k * count + e * lanes..][..lanes].copy_from_slice(&strain[k * lanes..][..lanes]);
             }
         }
     }
@@ -160,18 +158,19 @@ simd_kernel! {
             let suu = &stress[e * lanes..][..lanes];
             let svv = &stress[count + e * lanes..][..lanes];
             let suv = &stress[2 * count + e * lanes..][..lanes];
-            let mut g0 = [[T::zero(); MAX_LANES]; 3];
-            let mut g1 = [[T::zero(); MAX_LANES]; 3];
-            let mut g2 = [[T::zero(); MAX_LANES]; 3];
-            for k in 0..3 {
-                for l in 0..lanes {
-                    let (fu, fv) = (f[k * lanes + l], f[(3 + k) * lanes + l]);
+            let mut g0 = [T::zero(); 3 * MAX_LANES];
+            let mut g1 = [T::zero(); 3 * MAX_LANES];
+            let mut g2 = [T::zero(); 3 * MAX_LANES];
+            for l in 0..lanes {
+                for k in 0..3 {
+                    let i = k * lanes + l;
+                    let (fu, fv) = (f[i], f[3 * lanes + i]);
                     let pu = fu * suu[l] + fv * suv[l];
                     let pv = fu * suv[l] + fv * svv[l];
                     let (d1, d2) = (pu * m00 + pv * m01, pu * m10 + pv * m11);
-                    g1[k][l] = d1;
-                    g2[k][l] = d2;
-                    g0[k][l] = -(d1 + d2);
+                    g1[i] = d1;
+                    g2[i] = d2;
+                    g0[i] = -(d1 + d2);
                 }
             }
             let [a, b, c] = triangle.vertices;

@@ -1,4 +1,4 @@
-//! A fabric for tests and benches: written again from the formulas, so that terms are not checked against the crate of
+//! A fabric for tests: written again from the formulas, so that terms are not checked against the crate of
 //! materials but against an independent answer.
 #![allow(dead_code)]
 
