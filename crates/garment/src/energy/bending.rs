@@ -206,7 +206,8 @@ simd_kernel! {
                 let least = floor * ee * ee + tiny;
                 let sp = edge / if pp > least { pp } else { least };
                 let sq = edge / if qq > least { qq } else { least };
-                let (inverse, direction) = (T::one() / (ee + tiny), T::one() / (edge + tiny));
+                let inverse = T::one() / (ee + tiny);
+                let direction = edge * inverse;
                 keep[l] = px * sp;
                 keep[lanes + l] = py * sp;
                 keep[2 * lanes + l] = pz * sp;
