@@ -1,1 +1,22 @@
-//! caphy.
+//! caphy turns a folder of 3D scans of one clothed person into an avatar whose garments move by that person's own fabrics
+//! (the method of the paper "CaPhy", 2023), driven by one TOML file.
+//!
+//! The stages in [`stage`] follow the paper's method section; [`runner`] runs them in order and skips what is done.
+
+pub mod artifact;
+pub mod config;
+pub mod files;
+pub mod fixed_shape;
+pub mod garment;
+pub mod inference;
+pub mod motion;
+pub mod physics;
+pub mod pictures;
+pub mod plot;
+pub mod plugins;
+pub mod progress;
+pub mod runner;
+pub mod scene;
+pub mod stage;
+pub mod track;
+pub mod trainer;

@@ -4,8 +4,11 @@
 //! ([`skinning`], Eq. 2), told about the pose ([`features`]) and judged by the energies of Eqs. 3-12 ([`energy`]).
 
 pub mod energy;
+pub mod estimate;
 pub mod features;
 pub mod garment;
+pub mod relax;
 pub mod skinning;
+pub mod template;
 
 pub use garment::GarmentRest;

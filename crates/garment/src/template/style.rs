@@ -124,7 +124,9 @@ impl Style {
                 Self::Upper(UpperStyle { sleeve_length, body_length, looseness, neckline })
             }
             (_, &[leg_length, looseness, rise, ..]) => Self::Lower(LowerStyle { leg_length, looseness, rise }),
-            _ => return Err(Error::Length { what: "values of a garment style".into(), expected: 3, got: values.len() }),
+            _ => {
+                return Err(Error::Length { what: "values of a garment style".into(), expected: 3, got: values.len() });
+            }
         };
         style.check()?;
         Ok(style)

@@ -1,0 +1,82 @@
+//! The disk as seen by a run: paths relative to the configuration, `${VARIABLES}` expanded.
+
+use caphy_core::files::Files;
+use caphy_core::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// Reads files named in a configuration.
+#[derive(Debug, Clone)]
+pub struct ProjectFiles {
+    base: PathBuf,
+}
+
+impl ProjectFiles {
+    /// Paths are relative to `base`, the configuration's folder.
+    pub fn new(base: impl Into<PathBuf>) -> Self {
+        Self { base: base.into() }
+    }
+    /// The path on disk: `${NAME}` replaced from the environment, relative paths put behind the base.
+    pub fn resolve(&self, path: &Path) -> Result<PathBuf> {
+        let text = path.to_string_lossy();
+        let mut out = String::new();
+        let mut rest = text.as_ref();
+        while let Some(start) = rest.find("${") {
+            let Some(end) = rest[start..].find('}') else {
+                return Err(Error::config(
+                    text.to_string(),
+                    "a `${` without its `}`",
+                    "close the variable's name with `}`",
+                ));
+            };
+            let name = &rest[start + 2..start + end];
+            let value = std::env::var(name).map_err(|_| {
+                Error::config(
+                    text.to_string(),
+                    format!("the environment variable {name} is not set"),
+                    format!("set it, for example `export {name}=/path/to/folder`"),
+                )
+            })?;
+            out.push_str(&rest[..start]);
+            out.push_str(&value);
+            rest = &rest[start + end + 1..];
+        }
+        out.push_str(rest);
+        Ok(self.base.join(out))
+    }
+    /// Files of a folder with one of the endings, sorted by name.
+    pub fn list(&self, folder: &Path, endings: &[&str]) -> Result<Vec<PathBuf>> {
+        let folder = self.resolve(folder)?;
+        let entries = std::fs::read_dir(&folder).map_err(|e| Error::io(&folder, "list", e))?;
+        let mut found = Vec::new();
+        for entry in entries {
+            let path = entry.map_err(|e| Error::io(&folder, "list", e))?.path();
+            let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+            if ending.is_some_and(|e| endings.contains(&e.as_str())) {
+                found.push(path);
+            }
+        }
+        found.sort();
+        Ok(found)
+    }
+}
+
+impl Files for ProjectFiles {
+    fn read(&self, path: &Path) -> Result<Vec<u8>> {
+        let path = self.resolve(path)?;
+        std::fs::read(&path).map_err(|e| Error::io(&path, "read", e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn unset_variables_and_missing_files_are_named() {
+        let files = ProjectFiles::new("/nowhere");
+        let text = files.resolve(Path::new("${CAPHY_NOT_SET}/a")).unwrap_err().to_string();
+        assert!(text.contains("CAPHY_NOT_SET"), "{text}");
+        assert_eq!(files.resolve(Path::new("a/b")).unwrap(), Path::new("/nowhere/a/b"));
+        assert!(files.read(Path::new("x.ply")).unwrap_err().to_string().contains("/nowhere/x.ply"));
+    }
+}

@@ -1,0 +1,132 @@
+//! Playing a trained garment: a whole clip with carried state, or single poses.
+
+use crate::garment::{FittedGarment, TrainedGarment};
+use crate::track::BodyTrack;
+use caphy_core::array::{In, Out};
+use caphy_core::lanes::Frames;
+use caphy_core::net::{DeformationNet, ForwardBlock, ForwardCall, NetSpec};
+use caphy_core::query::NearestGrid;
+use caphy_core::{Error, Result, Vec3};
+use caphy_garment::skinning::Skinner;
+
+/// How frames follow each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Play {
+    /// Consecutive frames of one clip: state is carried, velocities are known from the second frame on.
+    Clip,
+    /// Unrelated static poses.
+    Poses,
+}
+
+/// Garment vertices of every frame of a track [m], shape [frame][vertex].
+pub fn play(
+    garment: &FittedGarment,
+    trained: &TrainedGarment,
+    spec: &dyn NetSpec,
+    track: &BodyTrack,
+    how: Play,
+) -> Result<Vec<Vec<Vec3>>> {
+    let outputs = 3 * garment.mesh.vertices.len();
+    let net = spec.build(trained.features.count(), outputs)?;
+    if *net.manifest() != trained.manifest {
+        return Err(Error::config(
+            "net",
+            "the trained net has other sizes than the configured one",
+            "use the configuration that the avatar was trained with",
+        ));
+    }
+    let skinner = Skinner::<f32>::new(&garment.mesh.vertices, &garment.weights)?;
+    let mut state = vec![0.0f32; trained.manifest.state];
+    let mut out = Vec::with_capacity(track.len());
+    for frame in 0..track.len() {
+        let previous = (how == Play::Clip && frame > 0).then(|| &track.poses[frame - 1]);
+        if how == Play::Poses {
+            state.fill(0.0);
+        }
+        let features: Vec<f32> = trained.features.frame(&track.poses[frame], previous, 1.0 / trained.fps)?;
+        let displacement = displacement(&*net, trained, &features, &mut state, outputs)?;
+        let joints = skinner.joint_frames(&track.transforms(&[frame]), 1)?;
+        let mut posed = Frames::zeros(1, garment.mesh.vertices.len(), 1);
+        skinner.forward(&joints, Some(&displacement), &mut posed)?;
+        Error::check_finite(&format!("posed {} of frame {frame}", garment.kind), posed.data())?;
+        out.push(posed.frame(0, 0));
+    }
+    Ok(out)
+}
+
+/// dV of one frame [m]; `state` goes one step on.
+fn displacement(
+    net: &dyn DeformationNet,
+    trained: &TrainedGarment,
+    features: &[f32],
+    state: &mut Vec<f32>,
+    outputs: usize,
+) -> Result<Vec<f32>> {
+    let mut displacement = vec![0.0f32; outputs];
+    let mut after = vec![0.0f32; state.len()];
+    let carries = !state.is_empty();
+    let mut block = ForwardBlock {
+        steps: 1,
+        batch: 1,
+        parameters: (&trained.parameters[..]).into(),
+        features: features.into(),
+        state_before: if carries { (&state[..]).into() } else { In::absent() },
+        output: (&mut displacement[..]).into(),
+        state_after: if carries { (&mut after[..]).into() } else { Out::absent() },
+        tape: Out::absent(),
+    };
+    net.forward(ForwardCall::F32(&mut block))?;
+    *state = after;
+    displacement.iter_mut().for_each(|d| *d *= trained.output_scale_m as f32);
+    Ok(displacement)
+}
+
+/// A surface that garments must stay outside of.
+pub struct Obstacle<'a> {
+    /// Points [m].
+    pub points: &'a [Vec3],
+    /// Outward unit normals.
+    pub normals: &'a [Vec3],
+}
+
+/// Signed distance of each point to the nearest obstacle vertex's tangent plane [m], negative inside; infinite without
+/// obstacle.
+pub fn clearance(points: &[Vec3], obstacle: &Obstacle<'_>) -> Vec<f64> {
+    let grid = NearestGrid::from_points(obstacle.points);
+    points
+        .iter()
+        .map(|p| match grid.nearest_point(p) {
+            Some((id, _)) => obstacle.normals[id as usize].dot(&(p - obstacle.points[id as usize])),
+            None => f64::INFINITY,
+        })
+        .collect()
+}
+
+/// Moves points that are closer to the obstacle than `gap` [m] out along its normal (SNUG's post-process).
+pub fn push_out(points: &mut [Vec3], obstacle: &Obstacle<'_>, gap: f64) {
+    let grid = NearestGrid::from_points(obstacle.points);
+    for p in points {
+        if let Some((id, _)) = grid.nearest_point(p) {
+            let normal = obstacle.normals[id as usize];
+            let distance = normal.dot(&(*p - obstacle.points[id as usize]));
+            if distance < gap {
+                *p += normal * (gap - distance);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pushing_out_leaves_a_gap_and_nothing_else_moves() {
+        let (points, normals) = ([Vec3::zeros()], [Vec3::y()]);
+        let obstacle = Obstacle { points: &points, normals: &normals };
+        let mut cloth = [Vec3::new(0.001, -0.01, 0.0), Vec3::new(0.0, 0.05, 0.0)];
+        push_out(&mut cloth, &obstacle, 0.002);
+        assert!((cloth[0].y - 0.002).abs() < 1e-15 && cloth[1].y == 0.05);
+        assert!(clearance(&cloth, &obstacle).iter().all(|&d| d > 0.0019));
+    }
+}

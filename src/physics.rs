@@ -1,0 +1,111 @@
+//! A garment with everything that pulls at it: Eq. 6 term by term, with the configured weights.
+
+use crate::config::TermWeights;
+use caphy_core::lanes::Frames;
+use caphy_core::material::{MaterialModel, MaterialReal};
+use caphy_core::{Result, Vec3};
+use caphy_garment::GarmentRest;
+use caphy_garment::energy::{
+    Attachment, Bending, Collision, ContactOptions, EnergyTerm, Gravity, Inertia, InertiaRule, RestAngle, State, Strain,
+};
+use std::sync::Arc;
+
+/// Acceleration of free fall [m/s²].
+pub const GRAVITY: Vec3 = Vec3::new(0.0, -9.81, 0.0);
+/// Stiffness that holds a waistband [N/m²]: a metre of waistband with half a kilogram of trousers slips by 5 mm.
+pub const WAISTBAND: f64 = 1000.0;
+
+/// The terms of one garment, except those that need scans or the other garment.
+pub struct Physics<T> {
+    strain: Strain<T>,
+    bending: Bending<T>,
+    gravity: Gravity<T>,
+    inertia: Inertia<T>,
+    collision: Collision<T>,
+    /// Springs of the waistband: their vertices say which targets a state needs.
+    pub attachment: Attachment<T>,
+    weights: TermWeights,
+}
+
+/// What a batch asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Dynamics {
+    /// Consecutive frames in blocks: inertia counts.
+    Moving,
+    /// Unrelated poses: no inertia.
+    Static,
+}
+
+/// Energy per term, J per frame on average over the batch (inertia: per transition), unweighted by λ except contact and
+/// attachment, whose stiffness is their own.
+pub type TermEnergies = Vec<(&'static str, f64)>;
+
+impl<T: MaterialReal> Physics<T> {
+    /// All terms of a garment made of a material; `fps` sets the time step of inertia.
+    pub fn new(
+        rest: &GarmentRest,
+        material: Arc<dyn MaterialModel>,
+        contact: &ContactOptions,
+        fps: f64,
+        weights: &TermWeights,
+    ) -> Result<Self> {
+        Ok(Self {
+            strain: Strain::new(rest, material.clone()),
+            bending: Bending::new(rest, material, RestAngle::Template),
+            gravity: Gravity::new(rest, GRAVITY),
+            inertia: Inertia::new(rest, 1.0 / fps, InertiaRule::KnownVelocity)?,
+            collision: Collision::new(rest, contact)?,
+            attachment: Attachment::new(rest, WAISTBAND),
+            weights: weights.clone(),
+        })
+    }
+    /// The same garment made of another material.
+    pub fn set_material(&mut self, material: Arc<dyn MaterialModel>) {
+        self.strain.set_material(material.clone());
+        self.bending.set_material(material);
+    }
+    fn terms(&self) -> [(&dyn EnergyTerm<T>, f64); 6] {
+        let w = &self.weights;
+        [
+            (&self.strain, w.strain),
+            (&self.bending, w.bending),
+            (&self.gravity, w.gravity),
+            (&self.inertia, w.inertia),
+            (&self.collision, w.collision),
+            (&self.attachment, w.attachment),
+        ]
+    }
+    /// Adds `scale` times the gradient of the *sum* over frames (inertia: scaled so that a mean over transitions weighs like a
+    /// mean over frames) and returns mean energies.
+    pub fn add(
+        &self,
+        state: &State<'_, T>,
+        dynamics: Dynamics,
+        scale: f64,
+        mut gradient: Option<&mut Frames<T>>,
+    ) -> Result<TermEnergies> {
+        let frames = state.positions.frames();
+        let mut out = TermEnergies::new();
+        for (term, weight) in self.terms() {
+            if weight == 0.0 {
+                continue;
+            }
+            let mut factor = weight * scale;
+            let mut mean_of = frames;
+            if term.name() == "inertia" {
+                let transitions = self.inertia.transitions(state.positions.blocks()) * state.positions.lanes_used();
+                if dynamics == Dynamics::Static || transitions == 0 {
+                    continue;
+                }
+                factor *= frames as f64 / transitions as f64;
+                mean_of = transitions;
+            }
+            let mut energy = vec![0.0; frames];
+            term.add(state, factor, &mut energy, gradient.as_deref_mut())?;
+            let sum: f64 = energy.iter().sum();
+            let mean = if factor == 0.0 { 0.0 } else { sum / factor * weight / mean_of as f64 };
+            out.push((term.name(), mean));
+        }
+        Ok(out)
+    }
+}

@@ -1,0 +1,136 @@
+//! Line plots as SVG, for the report.
+
+use std::fmt::Write;
+
+/// One curve.
+pub struct Curve {
+    /// Name in the legend.
+    pub name: String,
+    /// Points (x, y); non-finite ones and, on a logarithmic axis, non-positive ones are left out.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// Axes of a plot.
+pub struct Axes<'a> {
+    /// Title above.
+    pub title: &'a str,
+    /// Name and unit of x.
+    pub x: &'a str,
+    /// Name and unit of y.
+    pub y: &'a str,
+    /// Whether y is logarithmic.
+    pub log_y: bool,
+}
+
+const COLOURS: [&str; 8] = ["#1f5fa8", "#c8502d", "#3b8c4f", "#7a4fa3", "#a0802a", "#2b9a9a", "#b03a6f", "#606060"];
+const WIDTH: f64 = 560.0;
+const HEIGHT: f64 = 300.0;
+const MARGIN: [f64; 4] = [64.0, 150.0, 34.0, 44.0];
+
+/// A plot of a few curves as an `<svg>` element; says so when there is nothing to draw.
+pub fn lines(axes: &Axes<'_>, curves: &[Curve]) -> String {
+    let [left, right, top, bottom] = MARGIN;
+    let value = |y: f64| if axes.log_y { y.log10() } else { y };
+    let shown: Vec<Vec<(f64, f64)>> = curves
+        .iter()
+        .map(|c| {
+            let points = c.points.iter().map(|&(x, y)| (x, value(y)));
+            points.filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
+        })
+        .collect();
+    let all = || shown.iter().flatten();
+    let range = |pick: fn(&(f64, f64)) -> f64| {
+        all().map(pick).fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)))
+    };
+    let ((x0, x1), (y0, y1)) = (range(|p| p.0), range(|p| p.1));
+    let mut svg = format!(
+        "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" class=\"plot\" role=\"img\"><title>{t}</title><text x=\"{left}\" y=\"20\" class=\"t\">{t}</text>",
+        t = escape(axes.title)
+    );
+    if x0.is_infinite() {
+        svg.push_str("<text x=\"80\" y=\"150\">no data</text></svg>");
+        return svg;
+    }
+    let widen = |a: f64, b: f64| if b > a { (a, b) } else { (a - 0.5, b + 0.5) };
+    let ((x0, x1), (y0, y1)) = (widen(x0, x1), widen(y0, y1));
+    let px = |x: f64| left + (x - x0) / (x1 - x0) * (WIDTH - left - right);
+    let py = |y: f64| HEIGHT - bottom - (y - y0) / (y1 - y0) * (HEIGHT - top - bottom);
+    for k in 0..=4 {
+        let t = f64::from(k) / 4.0;
+        let (x, y) = (x0 + t * (x1 - x0), y0 + t * (y1 - y0));
+        let label = if axes.log_y { 10f64.powf(y) } else { y };
+        // Writing to a String cannot fail.
+        let _ = write!(
+            svg,
+            "<line x1=\"{left}\" x2=\"{r}\" y1=\"{yy:.1}\" y2=\"{yy:.1}\" class=\"g\"/><text x=\"{lx}\" y=\"{ty:.1}\" class=\"n e\">{}</text><text x=\"{xx:.1}\" y=\"{by}\" class=\"n m\">{}</text>",
+            number(label),
+            number(x),
+            r = WIDTH - right,
+            yy = py(y),
+            lx = left - 6.0,
+            ty = py(y) + 4.0,
+            xx = px(x),
+            by = HEIGHT - bottom + 16.0,
+        );
+    }
+    for (i, (curve, points)) in curves.iter().zip(&shown).enumerate() {
+        let colour = COLOURS[i % COLOURS.len()];
+        let path: Vec<String> = points.iter().map(|&(x, y)| format!("{:.1},{:.1}", px(x), py(y))).collect();
+        let ly = top + 10.0 + 17.0 * i as f64;
+        let _ = write!(
+            svg,
+            "<polyline points=\"{}\" stroke=\"{colour}\" class=\"c\"/><line x1=\"{a}\" x2=\"{b}\" y1=\"{ly}\" y2=\"{ly}\" stroke=\"{colour}\" class=\"c\"/><text x=\"{c}\" y=\"{d}\" class=\"n\">{}</text>",
+            path.join(" "),
+            escape(&curve.name),
+            a = WIDTH - right + 10.0,
+            b = WIDTH - right + 30.0,
+            c = WIDTH - right + 35.0,
+            d = ly + 4.0,
+        );
+    }
+    let _ = write!(
+        svg,
+        "<text x=\"{:.1}\" y=\"{:.1}\" class=\"n m\">{}</text><text transform=\"translate(14 {:.1}) rotate(-90)\" class=\"n m\">{}</text></svg>",
+        left + (WIDTH - left - right) / 2.0,
+        HEIGHT - 8.0,
+        escape(axes.x),
+        top + (HEIGHT - top - bottom) / 2.0,
+        escape(axes.y),
+    );
+    svg
+}
+
+/// Three significant digits.
+pub fn number(v: f64) -> String {
+    if v == 0.0 {
+        return "0".into();
+    }
+    let magnitude = v.abs().log10().floor();
+    if (-3.0..5.0).contains(&magnitude) {
+        let digits = (2.0 - magnitude).max(0.0) as usize;
+        let text = format!("{v:.digits$}");
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_string() } else { text }
+    } else {
+        format!("{v:.2e}")
+    }
+}
+
+/// Text safe inside HTML.
+pub fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plots_survive_nothing_constants_and_bad_values() {
+        let axes = Axes { title: "a < b", x: "x", y: "y", log_y: true };
+        assert!(lines(&axes, &[]).contains("no data"));
+        let curve = Curve { name: "c".into(), points: vec![(0.0, f64::NAN), (1.0, 0.0), (2.0, 5.0)] };
+        let svg = lines(&axes, &[curve]);
+        assert!(svg.contains("a &lt; b") && !svg.contains("NaN"), "{svg}");
+        assert_eq!([number(0.0), number(1234.0), number(0.05), number(1e-9)], ["0", "1234", "0.05", "1.00e-9"]);
+    }
+}

@@ -1,0 +1,184 @@
+//! Runs the stages in order, one artifact each; a stage whose inputs have not changed is not run again.
+
+use crate::artifact;
+use crate::config::{Config, SubjectConfig};
+use crate::files::ProjectFiles;
+use crate::progress::Progress;
+use crate::stage::{self, Context, StageOutput};
+use caphy_core::{Error, Result};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// A run directory with its configuration, held by one process.
+pub struct Run {
+    config: Config,
+    files: ProjectFiles,
+    folder: PathBuf,
+    timings: Mutex<BTreeMap<String, f64>>,
+    ran: Vec<&'static str>,
+    /// Held until the run is dropped: two processes in one folder would overwrite each other's checkpoints.
+    _lock: std::fs::File,
+}
+
+/// What a run did.
+#[derive(Debug)]
+pub struct Summary {
+    /// The run directory.
+    pub folder: PathBuf,
+    /// Stages that were run, the others were up to date.
+    pub ran: Vec<&'static str>,
+    /// The table of the evaluation, as text.
+    pub table: String,
+}
+
+impl Run {
+    /// Opens (or makes) the run directory of a configuration file.
+    ///
+    /// `out` replaces the file's `run.out`.
+    pub fn open(config_path: &Path, out: Option<PathBuf>) -> Result<Run> {
+        let config = Config::read(config_path)?;
+        let files = ProjectFiles::new(config_path.parent().unwrap_or(Path::new(".")));
+        let folder = match out {
+            Some(out) => out,
+            None => files.resolve(&config.run.out)?,
+        };
+        std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, "create", e))?;
+        let lock_path = folder.join("lock");
+        let lock = std::fs::File::create(&lock_path).map_err(|e| Error::io(&lock_path, "create", e))?;
+        if lock.try_lock().is_err() {
+            return Err(Error::config(
+                "run.out",
+                format!("{} is in use by another run", folder.display()),
+                "wait for it, or choose another folder",
+            ));
+        }
+        let resolved = toml::to_string(&config)
+            .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
+        artifact::write_atomically(&folder.join("config.toml"), resolved.as_bytes())?;
+        let timings = std::fs::read(folder.join("timings.json"))
+            .ok()
+            .and_then(|bytes| serde_json::from_slice(&bytes).ok())
+            .unwrap_or_default();
+        Ok(Run { config, files, folder, timings: Mutex::new(timings), ran: Vec::new(), _lock: lock })
+    }
+
+    /// Everything, from scans to the report.
+    pub fn all(mut self) -> Result<Summary> {
+        let c = serde_json::to_value(&self.config)
+            .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
+        let part = |names: &[&str]| -> Vec<serde_json::Value> {
+            names.iter().map(|n| c.get(*n).cloned().unwrap_or_default()).collect()
+        };
+
+        let scans = match &self.config.subject {
+            SubjectConfig::Synthetic(synthetic) => {
+                let synthetic = synthetic.clone();
+                let key = part(&["subject", "body"]);
+                self.stage("synth", &key, "", |cx| stage::synth::run(cx, &synthetic))?.0
+            }
+            SubjectConfig::Scans(scans) => {
+                let scans = scans.clone();
+                stage::scan_list(&self.files, &scans)?
+            }
+        };
+        let scan_hash = stage::hash_scans(&scans)?;
+
+        let key = part(&["body", "segmenter", "views", "registration", "upper", "lower"]);
+        let (subject, subject_hash) =
+            self.stage("preprocess", &key, &scan_hash, |cx| stage::preprocess::run(cx, &scans))?;
+
+        let key = part(&["upper", "lower", "body", "net", "motion", "train"]);
+        let rounds = self.config.train.rounds;
+        let (mut nets, mut hash) = self.stage("train", &key, &subject_hash, |cx| {
+            stage::train::run(cx, &subject, &stage::train::Start::fresh(rounds))
+        })?;
+        let mut fabrics = Vec::new();
+        for alternation in 0..self.config.optimise.alternations {
+            let key = part(&["upper", "lower", "body", "train", "optimise"]);
+            let (name, again) = stage::alternation_names(alternation);
+            let (estimate, estimate_hash) =
+                self.stage(name, &key, &hash, |cx| stage::optimise::run(cx, &subject, &nets))?;
+            let key = part(&["upper", "lower", "body", "net", "motion", "train", "optimise"]);
+            let rounds = self.config.optimise.rounds;
+            let start = stage::train::Start::from_estimate(&nets, &estimate, rounds);
+            (nets, hash) = self.stage(again, &key, &estimate_hash, |cx| stage::train::run(cx, &subject, &start))?;
+            fabrics.push(estimate);
+        }
+        let key = part(&["body", "motion", "train", "finetune"]);
+        let (avatar, avatar_hash) =
+            self.stage("finetune", &key, &hash, |cx| stage::finetune::run(cx, &subject, &nets))?;
+
+        let key = part(&["body", "motion", "evaluate", "train", "finetune", "net"]);
+        let (scores, scores_hash) = self.stage("evaluate", &key, &avatar_hash, |cx| {
+            stage::evaluate::run(cx, &subject, &nets, &avatar, &fabrics, &scans)
+        })?;
+        let key = part(&["body", "animate", "motion"]);
+        let (film, film_hash) =
+            self.stage("animate", &key, &avatar_hash, |cx| stage::animate::run(cx, &subject, &avatar))?;
+        let (exported, export_hash) =
+            self.stage("export", &key, &film_hash, |cx| stage::export::run(cx, &subject, &avatar, &film))?;
+
+        let timings = self.timings();
+        let inputs = stage::report::Inputs {
+            scans: &scans,
+            subject: &subject,
+            fabrics: &fabrics,
+            nets: &nets,
+            scores: &scores,
+            film: &film,
+            exported: &exported.files,
+            timings: &timings,
+        };
+        let upstream = format!("{scores_hash}{export_hash}{scan_hash}");
+        self.stage("report", &part(&["run"]), &upstream, |cx| stage::report::run(cx, &inputs))?;
+        Ok(Summary { folder: self.folder, ran: self.ran, table: scores.table() })
+    }
+
+    fn context<'a>(&'a self, key: &'a str, progress: &'a Progress) -> Context<'a> {
+        let (config, files, folder, timings) = (&self.config, &self.files, &self.folder, &self.timings);
+        Context { config, files, folder, key, progress, timings }
+    }
+
+    fn timings(&self) -> BTreeMap<String, f64> {
+        self.timings.lock().map(|t| t.clone()).unwrap_or_default()
+    }
+    /// Checkpoints of a finished stage are of no further use; one that cannot be removed does no harm, as its key is old.
+    fn drop_checkpoints(&self) {
+        let entries = std::fs::read_dir(&self.folder).into_iter().flatten().flatten();
+        for entry in entries.filter(|e| e.file_name().to_string_lossy().starts_with("checkpoint-")) {
+            std::fs::remove_file(entry.path()).ok();
+        }
+    }
+
+    /// One stage: loads its artifact when the key still matches and its files are there, else runs it.
+    fn stage<T: StageOutput>(
+        &mut self,
+        name: &'static str,
+        key: &impl Serialize,
+        upstream: &str,
+        run: impl FnOnce(&Context<'_>) -> Result<T>,
+    ) -> Result<(T, String)> {
+        let material = serde_json::to_vec(&(name, env!("CARGO_PKG_VERSION"), self.config.run.seed, key, upstream))
+            .map_err(|e| Error::config(name, e.to_string(), "report this as a defect"))?;
+        let key = artifact::hash(&material);
+        let path = self.folder.join(format!("{name}.caphy"));
+        if let Some((value, content)) = artifact::load::<T>(&path, name, &key)?
+            && value.files().iter().all(|f| self.folder.join(f).exists())
+        {
+            return Ok((value, content));
+        }
+        let progress = Progress::start(name);
+        let value = run(&self.context(&key, &progress))?;
+        let content = artifact::save(&path, name, &key, &value)?;
+        let seconds = progress.finish();
+        self.context(&key, &progress).time(name, seconds);
+        let timings = serde_json::to_vec_pretty(&self.timings())
+            .map_err(|e| Error::config(name, e.to_string(), "report this as a defect"))?;
+        artifact::write_atomically(&self.folder.join("timings.json"), &timings)?;
+        self.drop_checkpoints();
+        self.ran.push(name);
+        Ok((value, content))
+    }
+}

@@ -1,0 +1,128 @@
+//! What training, fabric estimation and fine-tuning share: the subject's body in every frame of motion and scan.
+
+use crate::garment::FittedGarment;
+use crate::motion;
+use crate::stage::Context;
+use crate::stage::preprocess::Subject;
+use crate::track::{BodyTrack, Reach};
+use crate::trainer::{MotionFrames, ScanFrames};
+use caphy_core::body::{BodyModel, BodyParameters};
+use caphy_core::pose::Pose;
+use caphy_core::query::NearestGrid;
+use caphy_core::scan::Label;
+use caphy_core::{Error, Result, TriMesh, Vec3};
+use caphy_garment::energy::ScanCloud;
+use caphy_garment::template::GarmentKind;
+use std::sync::Arc;
+
+/// Body vertices farther than this from every garment in the T-pose are left out of collision [m].
+const REACH: f64 = 0.12;
+
+/// The subject's body and where garments can touch it.
+pub struct Scene {
+    /// The body model.
+    pub body: Box<dyn BodyModel>,
+    /// Shape and dT of the subject, T-posed.
+    pub subject: BodyParameters,
+    /// T-posed surface [m].
+    pub rest: TriMesh,
+    /// T-posed joints [m].
+    pub rest_joints: Vec<Vec3>,
+    /// Reachable part.
+    pub reach: Reach,
+}
+
+impl Scene {
+    /// Builds the body of a preprocessed subject.
+    pub fn new(context: &Context<'_>, subject: &Subject) -> Result<Scene> {
+        let body = context.config.body.build(context.files)?;
+        let count = body.describe().joints.len();
+        let mut parameters = BodyParameters::rest(count, &subject.shape);
+        parameters.displacement = subject.displacement.clone();
+        let posed = body.forward(&parameters)?;
+        let rest = TriMesh { vertices: posed.vertices, faces: body.describe().faces.clone() };
+        let templates: Vec<&[Vec3]> = subject.garments.iter().map(|g| &g.mesh.vertices[..]).collect();
+        let reach = Reach::new(&rest, &templates, REACH)?;
+        Ok(Scene { body, subject: parameters, rest, rest_joints: posed.joints, reach })
+    }
+    /// The body in given poses.
+    pub fn track(&self, poses: &[Pose]) -> Result<BodyTrack> {
+        BodyTrack::new(&*self.body, &self.subject, &self.reach, poses)
+    }
+    /// The configured motion.
+    pub fn motion(&self, context: &Context<'_>) -> Result<MotionFrames> {
+        let clips = motion::load_all(context.files, &context.config.motion, &self.rest_joints[0])?;
+        let window = context.config.train.window;
+        let (mut poses, mut starts, mut has_before) = (Vec::new(), Vec::new(), Vec::new());
+        for clip in &clips {
+            let first = poses.len();
+            starts.extend((0..clip.poses.len().saturating_sub(window - 1)).map(|i| first + i));
+            has_before.extend((0..clip.poses.len()).map(|i| i > 0));
+            poses.extend(clip.poses.iter().cloned());
+        }
+        if starts.is_empty() {
+            return Err(Error::config(
+                "motion.clips",
+                format!("no clip is as long as a window of {window} frames at {} fps", context.config.motion.fps),
+                "give longer clips or a shorter train.window",
+            ));
+        }
+        Ok(MotionFrames { track: self.track(&poses)?, starts, has_before, fps: context.config.motion.fps })
+    }
+    /// Body track of the scans that may be learned from.
+    pub fn scan_track(&self, subject: &Subject) -> Result<Arc<BodyTrack>> {
+        let poses: Vec<Pose> = subject.training_scans().map(|s| s.pose.clone()).collect();
+        Ok(Arc::new(self.track(&poses)?))
+    }
+}
+
+/// The label of a garment's points.
+pub fn label_of(kind: GarmentKind) -> Label {
+    match kind {
+        GarmentKind::Upper => Label::Upper,
+        GarmentKind::Lower => Label::Lower,
+    }
+}
+
+/// Every n-th element, so that at most `most` are left.
+pub fn thin<T: Copy>(values: &[T], most: usize) -> Vec<T> {
+    let every = values.len().div_ceil(most.max(1)).max(1);
+    values.iter().copied().step_by(every).collect()
+}
+
+/// Scan poses and points of one garment, with the garment vertices that scans see.
+pub fn scan_frames(
+    context: &Context<'_>,
+    subject: &Subject,
+    garment: &FittedGarment,
+    track: Arc<BodyTrack>,
+) -> Result<ScanFrames> {
+    let label = label_of(garment.kind);
+    let mut clouds = Vec::new();
+    let mut votes = vec![0usize; garment.mesh.vertices.len()];
+    for (frame, scan) in subject.training_scans().enumerate() {
+        let (points, _) = scan.points.with_label(label);
+        clouds.push(ScanCloud::new(&scan.name, &thin(&points, context.config.train.scan_points))?);
+        // A vertex is seen when the scan's surface nearest to it is this garment: a waist under a shirt is not.
+        let grid = NearestGrid::from_points(&scan.points.points);
+        for (v, point) in garment.mesh.vertices.iter().enumerate() {
+            let posed = garment.weights.blend(v, &track.transforms[frame]) * point.push(1.0);
+            if let Some((id, _)) = grid.nearest_point(&posed)
+                && scan.points.labels[id as usize] == label
+            {
+                votes[v] += 1;
+            }
+        }
+    }
+    let scans = clouds.len();
+    let visible: Vec<bool> = votes.iter().map(|&v| 2 * v > scans).collect();
+    if !visible.contains(&true) {
+        return Err(Error::mesh(
+            garment.kind.to_string(),
+            "template",
+            "no vertex lies near its own points in most scans",
+            "look at the segmentation and the fitted poses in the report",
+        ));
+    }
+    Ok(ScanFrames { track, clouds, visible })
+}

@@ -1,0 +1,167 @@
+//! The stages of a run, one file each, in the order of the paper's method section.
+//!
+//! Every stage is a function `run(&Context, inputs) -> Result<Output>`; its output is one artifact on disk.
+
+pub mod animate;
+pub mod evaluate;
+pub mod export;
+pub mod finetune;
+pub mod optimise;
+pub mod preprocess;
+pub mod report;
+pub mod synth;
+pub mod train;
+
+use crate::artifact;
+use crate::config::{Config, ScansConfig};
+use crate::files::ProjectFiles;
+use crate::progress::Progress;
+use caphy_core::material::MaterialModel;
+use caphy_core::scan::Scan;
+use caphy_core::{Error, Result};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// What every stage gets besides its inputs.
+pub struct Context<'a> {
+    /// The experiment.
+    pub config: &'a Config,
+    /// Files named in it.
+    pub files: &'a ProjectFiles,
+    /// The run directory.
+    pub folder: &'a Path,
+    /// Key of the stage's artifact: checkpoints of another key are not continued.
+    pub key: &'a str,
+    /// Where the stage says how far it is.
+    pub progress: &'a Progress,
+    /// Times that were measured, by name: they stay out of artifacts, which are the same bits in every run.
+    pub timings: &'a Mutex<BTreeMap<String, f64>>,
+}
+
+impl Context<'_> {
+    /// Records a measured time.
+    pub fn time(&self, name: &str, value: f64) {
+        if let Ok(mut timings) = self.timings.lock() {
+            timings.insert(name.into(), value);
+        }
+    }
+    /// Writes a file of the run directory, whole or not at all.
+    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<()> {
+        artifact::write_atomically(&self.folder.join(name), bytes)
+    }
+}
+
+/// The artifact of a stage.
+pub trait StageOutput: Serialize + DeserializeOwned {
+    /// Files that the stage wrote beside its artifact, relative to the run directory: when one is gone, the stage runs
+    /// again.
+    fn files(&self) -> Vec<PathBuf> {
+        Vec::new()
+    }
+}
+
+/// One scan on disk.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct ScanFile {
+    /// The file's stem.
+    pub name: String,
+    /// Where it is.
+    pub path: PathBuf,
+    /// Kept for evaluation: no stage before it learns shape, template, fabric or net from it.
+    pub held_out: bool,
+}
+
+/// The scans of a subject.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Scans {
+    /// In the order of their names.
+    pub list: Vec<ScanFile>,
+    /// What is known about a generated subject; only evaluation and report look at it.
+    pub truth: Option<synth::Truth>,
+}
+
+impl StageOutput for Scans {
+    fn files(&self) -> Vec<PathBuf> {
+        self.list.iter().map(|s| s.path.clone()).collect()
+    }
+}
+
+/// Scans of a user's folder.
+pub fn scan_list(files: &ProjectFiles, config: &ScansConfig) -> Result<Scans> {
+    let paths = files.list(&config.folder, &["ply", "obj"])?;
+    let mut list = Vec::new();
+    for path in paths {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().to_string();
+        let held_out = config.held_out.contains(&name);
+        list.push(ScanFile { name, path, held_out });
+    }
+    if let Some(missing) = config.held_out.iter().find(|h| !list.iter().any(|s| &s.name == *h)) {
+        let names: Vec<&str> = list.iter().map(|s| s.name.as_str()).collect();
+        return Err(Error::config(
+            "subject.held_out",
+            format!("there is no scan `{missing}`"),
+            format!("the folder has: {}", names.join(", ")),
+        ));
+    }
+    if !list.iter().any(|s| !s.held_out) {
+        return Err(Error::config(
+            "subject.folder",
+            format!("{} holds no scan to learn from (*.ply, *.obj)", config.folder.display()),
+            "give a folder with at least one scan that is not held out",
+        ));
+    }
+    Ok(Scans { list, truth: None })
+}
+
+/// Reads a scan by its ending.
+pub fn read_scan(file: &ScanFile) -> Result<Scan> {
+    let bytes = std::fs::read(&file.path).map_err(|e| Error::io(&file.path, "read", e))?;
+    let ending = file.path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let mut scan = if ending == "obj" {
+        caphy_formats::obj::read_obj(&file.path, &bytes)?.scan
+    } else {
+        caphy_formats::ply::read_ply(&file.path, &bytes)?
+    };
+    scan.name = file.name.clone();
+    Ok(scan)
+}
+
+/// Hash of all scans' contents and roles.
+pub fn hash_scans(scans: &Scans) -> Result<String> {
+    let mut all = Vec::new();
+    for file in &scans.list {
+        let bytes = std::fs::read(&file.path).map_err(|e| Error::io(&file.path, "read", e))?;
+        all.extend_from_slice(format!("{}{}{}", file.name, file.held_out, artifact::hash(&bytes)).as_bytes());
+    }
+    Ok(artifact::hash(&all))
+}
+
+/// Names of the artifacts of one alternation between Eq. 10 and training: as many as anyone will ever want.
+pub fn alternation_names(alternation: usize) -> (&'static str, &'static str) {
+    const NAMES: [(&str, &str); 8] = [
+        ("optimise", "train-optimised"),
+        ("optimise-2", "train-optimised-2"),
+        ("optimise-3", "train-optimised-3"),
+        ("optimise-4", "train-optimised-4"),
+        ("optimise-5", "train-optimised-5"),
+        ("optimise-6", "train-optimised-6"),
+        ("optimise-7", "train-optimised-7"),
+        ("optimise-8", "train-optimised-8"),
+    ];
+    NAMES[alternation.min(NAMES.len() - 1)]
+}
+
+/// The configured material of a garment with other parameter values, where there are any.
+pub fn material(
+    table: &crate::config::MaterialTable,
+    key: &str,
+    parameters: Option<&[f64]>,
+) -> Result<Box<dyn MaterialModel>> {
+    let configured = table.spec(key)?.build()?;
+    match parameters {
+        Some(values) => configured.with_parameters(values),
+        None => Ok(configured),
+    }
+}

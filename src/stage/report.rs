@@ -1,0 +1,290 @@
+//! `report.html`: one self-contained page with pictures of every stage, curves, and the tables.
+
+use super::animate::{Film, strip_frames};
+use super::evaluate::Scores;
+use super::optimise::Estimates;
+use super::preprocess::Subject;
+use super::train::Nets;
+use super::{Context, Scans, StageOutput};
+use crate::plot::{Axes, Curve, escape, lines, number};
+use crate::trainer::CurvePoint;
+use caphy_core::{Error, Result};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// What the report shows.
+pub struct Inputs<'a> {
+    /// The scans.
+    pub scans: &'a Scans,
+    /// Preprocessing.
+    pub subject: &'a Subject,
+    /// Fabric estimates, one per alternation.
+    pub fabrics: &'a [Estimates],
+    /// Nets before fine-tuning, with the record of training.
+    pub nets: &'a Nets,
+    /// Measurements.
+    pub scores: &'a Scores,
+    /// The played clip.
+    pub film: &'a Film,
+    /// Exported files.
+    pub exported: &'a [PathBuf],
+    /// Seconds per stage, milliseconds per step.
+    pub timings: &'a BTreeMap<String, f64>,
+}
+
+/// The written page.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Page {
+    file: PathBuf,
+}
+
+impl StageOutput for Page {
+    fn files(&self) -> Vec<PathBuf> {
+        vec![self.file.clone()]
+    }
+}
+
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}\
+h1,h2{font-weight:600}h2{margin-top:2em;border-bottom:1px solid #ddd}img{max-width:100%}\
+table{border-collapse:collapse;margin:.6em 0}td,th{padding:.2em .7em;border-bottom:1px solid #e4e4e4;text-align:right}\
+td:first-child,th:first-child{text-align:left}.plot{width:48%;min-width:420px}.plot .t{font-weight:600;font-size:14px}\
+.plot .n{font-size:11px;fill:#555}.plot .e{text-anchor:end}.plot .m{text-anchor:middle}.plot .g{stroke:#e6e6e6}\
+.plot .c{fill:none;stroke-width:1.6}.warn{background:#fff6e0;border-left:4px solid #d99a1c;padding:.5em 1em}";
+
+/// Writes the page.
+pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
+    let mut html = format!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>caphy report</title><style>{STYLE}</style>\
+         <h1>caphy report</h1>"
+    );
+    overview(&mut html, inputs);
+    let picture = |html: &mut String, title: &str, name: &str, text: &str| -> Result<()> {
+        let source = embedded(context, name)?;
+        let (title, text) = (escape(title), escape(text));
+        let _ = write!(html, "<h2>{title}</h2><p>{text}</p><img alt=\"{title}\" src=\"{source}\">");
+        Ok(())
+    };
+    let strip = embedded(context, "pictures/strip.png")?;
+    film(&mut html, &strip, inputs.film);
+    picture(
+        &mut html,
+        "Scans, labels, bodies",
+        "pictures/scans.png",
+        "Each scan with its label per vertex, the body found under the clothes, and that body (red) over the scan: red \
+         should show on skin only.",
+    )?;
+    fits(&mut html, inputs);
+    picture(&mut html, "Garment templates", "pictures/templates.png", "The chosen styles on the T-posed body.")?;
+    choices(&mut html, inputs);
+    curves(&mut html, inputs);
+    fabrics(&mut html, inputs);
+    picture(
+        &mut html,
+        "Animation",
+        "pictures/animation.png",
+        "Frames of the played clip, from the front and from behind.",
+    )?;
+    let _ = write!(html, "<h2>Measurements</h2><pre>{}</pre>", escape(&inputs.scores.table()));
+    let files: Vec<String> = inputs.exported.iter().take(12).map(|f| escape(&f.display().to_string())).collect();
+    let _ = write!(
+        html,
+        "<h2>Files</h2><p>{} exported, among them:</p><pre>{}</pre></html>",
+        inputs.exported.len(),
+        files.join("\n")
+    );
+    context.write("report.html", html.as_bytes())?;
+    Ok(Page { file: "report.html".into() })
+}
+
+/// A picture of the run directory as a data URL.
+fn embedded(context: &Context<'_>, name: &str) -> Result<String> {
+    let path = context.folder.join(name);
+    let bytes = std::fs::read(&path).map_err(|e| Error::io(&path, "read", e))?;
+    Ok(format!("data:image/png;base64,{}", base64(&bytes)))
+}
+
+/// Standard base64 with padding (RFC 4648).
+fn base64(bytes: &[u8]) -> String {
+    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for chunk in bytes.chunks(3) {
+        let value = chunk.iter().fold(0u32, |v, b| v << 8 | u32::from(*b)) << (8 * (3 - chunk.len()));
+        for k in 0..4 {
+            if k <= chunk.len() {
+                out.push(char::from(LETTERS[(value >> (18 - 6 * k) & 63) as usize]));
+            } else {
+                out.push('=');
+            }
+        }
+    }
+    out
+}
+
+fn table(html: &mut String, head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
+    let cells =
+        |tag: &str, row: &[String]| -> String { row.iter().map(|c| format!("<{tag}>{}</{tag}>", escape(c))).collect() };
+    let head: Vec<String> = head.iter().map(|h| h.to_string()).collect();
+    let _ = write!(html, "<table><tr>{}</tr>", cells("th", &head));
+    for row in rows {
+        let _ = write!(html, "<tr>{}</tr>", cells("td", &row));
+    }
+    html.push_str("</table>");
+}
+
+fn overview(html: &mut String, inputs: &Inputs<'_>) {
+    let held = inputs.subject.scans.iter().filter(|s| s.held_out).count();
+    let (scans, vertices) = (
+        inputs.subject.scans.len(),
+        inputs.subject.garments.iter().map(|g| format!("{} {} vertices", g.kind, g.mesh.vertices.len())),
+    );
+    let vertices: Vec<String> = vertices.collect();
+    let kind = if inputs.scans.truth.is_some() { "synthetic subject" } else { "subject" };
+    let _ = write!(html, "<p>{kind}, {scans} scans ({held} held out), garments: {}.</p>", vertices.join(", "));
+    let rows = inputs.timings.iter().filter(|(name, _)| !name.ends_with("ms"));
+    table(html, &["stage", "s"], rows.map(|(name, seconds)| vec![name.clone(), format!("{seconds:.1}")]));
+    let steps = inputs.timings.iter().filter(|(name, _)| name.ends_with("ms"));
+    table(html, &["training step, all threads", "median ms"], steps.map(|(n, ms)| vec![n.clone(), format!("{ms:.1}")]));
+}
+
+fn film(html: &mut String, strip: &str, film: &Film) {
+    let frames = strip_frames();
+    let [width, height] = crate::pictures::SIZE;
+    let margin = caphy_render::sheet::MARGIN;
+    let (step, seconds) = (width + margin, film.clip.duration());
+    let _ = write!(
+        html,
+        "<h2>The avatar moves</h2><style>@keyframes play{{to{{background-position:-{end}px -{margin}px}}}}</style>\
+         <div style=\"width:{width}px;height:{height}px;background:url({strip}) -{margin}px -{margin}px;\
+         animation:play {seconds:.2}s steps({frames}) infinite\"></div>",
+        end = margin + frames * step,
+    );
+    let rows = film
+        .garments
+        .iter()
+        .map(|g| vec![g.kind.to_string(), format!("{:.2}", 100.0 * g.penetrating), format!("{:.1}", g.deepest_mm)]);
+    table(html, &["garment", "vertices inside the body before push-out, %", "deepest, mm"], rows);
+}
+
+fn fits(html: &mut String, inputs: &Inputs<'_>) {
+    let rows = inputs.subject.scans.iter().map(|s| {
+        vec![
+            format!("{}{}", s.name, if s.held_out { " (held out)" } else { "" }),
+            format!("{:.2}", 100.0 * s.fusion.disagreement),
+            format!("{:.2}", 100.0 * s.fusion.unseen),
+            s.label_agreement.map_or("–".into(), |a| format!("{:.2}", 100.0 * a)),
+            format!("{:.1}", s.fit.skin_rms_mm),
+            format!("{:.0}", 100.0 * s.fit.inside_share),
+            format!("{:.1}", s.fit.cloth_depth_mm),
+        ]
+    });
+    let head = [
+        "scan",
+        "votes against, %",
+        "unseen, %",
+        "labels as stored, %",
+        "skin to scan, mm rms",
+        "covered skin inside cloth, %",
+        "median depth under cloth, mm",
+    ];
+    table(html, &head, rows);
+}
+
+fn choices(html: &mut String, inputs: &Inputs<'_>) {
+    let rows = inputs.subject.choices.iter().zip(&inputs.subject.garments).map(|(c, g)| {
+        let girths: Vec<String> = c.girths_m.iter().map(|(name, m)| format!("{name} {:.0} cm", 100.0 * m)).collect();
+        vec![
+            c.kind.to_string(),
+            c.scan.clone(),
+            c.styles.to_string(),
+            format!("{:.0}", c.median_sample_mm2),
+            format!("{:.0}", c.best_sample_mm2),
+            format!("{:.0}", c.refined_mm2),
+            g.style.values().iter().map(|v| number(*v)).collect::<Vec<_>>().join(", "),
+            format!("{:.3}", c.area_m2),
+            girths.join(", "),
+        ]
+    });
+    let head =
+        ["garment", "compared with", "styles", "median Chamfer, mm²", "best", "refined", "style", "area, m²", "girths"];
+    table(html, &head, rows);
+}
+
+fn curves(html: &mut String, inputs: &Inputs<'_>) {
+    html.push_str("<h2>Training</h2><p>Energies per frame by step, on random windows and on scan poses.</p>");
+    for garment in &inputs.nets.garments {
+        for (scans, what) in [(false, "random windows"), (true, "scan poses")] {
+            let points: Vec<&CurvePoint> = garment.curve.iter().filter(|p| p.scans == scans).collect();
+            let mut names: Vec<&str> = Vec::new();
+            for (name, _) in points.iter().flat_map(|p| &p.energies) {
+                if !names.contains(&name.as_str()) && name != "gravity" {
+                    names.push(name);
+                }
+            }
+            let curves: Vec<Curve> = names
+                .into_iter()
+                .map(|name| {
+                    let value = |p: &&CurvePoint| {
+                        let energy = p.energies.iter().find(|(n, _)| n == name)?.1;
+                        Some((p.step as f64, energy))
+                    };
+                    Curve { name: name.into(), points: points.iter().filter_map(value).collect() }
+                })
+                .collect();
+            let title = format!("{}: {what}", garment.kind);
+            html.push_str(&lines(&Axes { title: &title, x: "step", y: "J per frame", log_y: true }, &curves));
+        }
+    }
+}
+
+fn fabrics(html: &mut String, inputs: &Inputs<'_>) {
+    html.push_str("<h2>Fabric</h2>");
+    if inputs.fabrics.is_empty() {
+        html.push_str("<p>Not estimated: as configured.</p>");
+    }
+    for estimates in inputs.fabrics {
+        for garment in &estimates.garments {
+            let e = &garment.estimate;
+            let _ = write!(
+                html,
+                "<h3>{}</h3><p>Eq. 10: gradient {} N → {} N (rms), {} of {} rows, singular values {}.</p>",
+                garment.kind,
+                number(e.residual_before_n),
+                number(e.residual_after_n),
+                e.rows[0],
+                e.rows[1],
+                e.singular_values.iter().map(|v| number(*v)).collect::<Vec<_>>().join(", "),
+            );
+            for warning in &e.warnings {
+                let _ = write!(html, "<p class=\"warn\">{}</p>", escape(warning));
+            }
+            let rows = e.groups.iter().map(|g| {
+                let note = match (g.excited, g.at_bound) {
+                    (false, _) => "not excited, kept",
+                    (true, true) => "at its bound",
+                    (true, false) => "",
+                };
+                vec![
+                    g.name.clone(),
+                    format!("{:.3}", g.multiplier),
+                    format!("{:.0} %", 100.0 * g.determined),
+                    note.to_string(),
+                ]
+            });
+            table(html, &["group", "multiplier", "determined by the shapes", ""], rows);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_meets_the_standard_vectors() {
+        for (text, code) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
+            assert_eq!(base64(text.as_bytes()), code);
+        }
+    }
+}

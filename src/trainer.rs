@@ -1,0 +1,372 @@
+//! Training of one garment's net: batches, loss, gradient, Adam, checkpoints (Secs. 3.2-3.3).
+//!
+//! Nothing here knows a stage: `train` gives it one garment, `finetune` two.
+
+use crate::config::TrainConfig;
+use crate::garment::{FittedGarment, TrainedGarment};
+use crate::physics::{Dynamics, GRAVITY, Physics, TermEnergies};
+use crate::track::BodyTrack;
+use caphy_core::array::{In, Out};
+use caphy_core::body::BodyDescription;
+use caphy_core::lanes::Frames;
+use caphy_core::material::MaterialModel;
+use caphy_core::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock, ForwardCall, NetSpec};
+use caphy_core::{Error, Result};
+use caphy_garment::GarmentRest;
+use caphy_garment::energy::{BodyState, Chamfer, EnergyTerm, ScanCloud, State};
+use caphy_garment::features::{FeatureOptions, PoseFeatures, moving_joints};
+use caphy_garment::skinning::{JointFrames, Skinner};
+use caphy_nets::adam::Adam;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Frames of motion with the windows that may be drawn from them.
+pub struct MotionFrames {
+    /// All clips, one after the other.
+    pub track: BodyTrack,
+    /// First frames of windows that do not leave their clip.
+    pub starts: Vec<usize>,
+    /// Whether the frame before belongs to the same clip.
+    pub has_before: Vec<bool>,
+    /// Frames per second.
+    pub fps: f64,
+}
+
+/// Scan poses with the garment's points in each.
+pub struct ScanFrames {
+    /// One frame per scan.
+    pub track: Arc<BodyTrack>,
+    /// Points of this garment, one cloud per frame.
+    pub clouds: Vec<ScanCloud<f32>>,
+    /// Garment vertices that the scans can see.
+    pub visible: Vec<bool>,
+}
+
+/// A batch of frames `[step][window]`.
+#[derive(Debug, Clone)]
+pub struct Batch {
+    /// Frames of the track, `[step * windows + window]`.
+    pub frames: Vec<usize>,
+    /// Windows.
+    pub windows: usize,
+    /// Whether the frames are scan poses.
+    pub scans: bool,
+}
+
+/// The random windows of one epoch, in batches; a function of seed and epoch alone, so that a resumed run draws the same.
+pub fn window_batches(motion: &MotionFrames, config: &TrainConfig, count: usize, seed: u64, epoch: u64) -> Vec<Batch> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(epoch);
+    let mut order: Vec<usize> = Vec::new();
+    while order.len() < count {
+        let mut all = motion.starts.clone();
+        all.shuffle(&mut rng);
+        order.extend(all);
+    }
+    order.truncate(count);
+    order
+        .chunks(config.batch)
+        .map(|starts| Batch {
+            frames: (0..config.window).flat_map(|t| starts.iter().map(move |s| s + t)).collect(),
+            windows: starts.len(),
+            scans: false,
+        })
+        .collect()
+}
+
+/// The scan poses of one epoch, in batches, shuffled like [`window_batches`].
+pub fn scan_batches(count: usize, config: &TrainConfig, seed: u64, epoch: u64) -> Vec<Batch> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x5ca1_ab1e);
+    rng.set_stream(epoch);
+    let mut order: Vec<usize> = (0..count).collect();
+    order.shuffle(&mut rng);
+    order
+        .chunks(config.batch)
+        .map(|frames| Batch { frames: frames.to_vec(), windows: frames.len(), scans: true })
+        .collect()
+}
+
+/// Everything that turns batches into gradients of one garment's net.
+pub struct GarmentLearner<'a> {
+    /// Rest state.
+    pub rest: GarmentRest,
+    physics: Physics<f32>,
+    chamfer: Chamfer,
+    scan_weight: f64,
+    skinner: Skinner<f32>,
+    held: Skinner<f32>,
+    net: Box<dyn DeformationNet>,
+    features: PoseFeatures,
+    motion_features: Vec<Vec<f32>>,
+    scan_features: Vec<Vec<f32>>,
+    motion: &'a MotionFrames,
+    scans: &'a ScanFrames,
+    output_scale: f32,
+    /// Flat parameters of the net.
+    pub parameters: Vec<f32>,
+    /// Gradient, added to by [`GarmentLearner::backward`].
+    pub gradient: Vec<f32>,
+    first_moment: Vec<f32>,
+    second_moment: Vec<f32>,
+    adam: Adam,
+}
+
+/// What a forward pass leaves for the backward pass.
+pub struct Pass {
+    /// Posed garments [m].
+    pub positions: Frames<f32>,
+    /// Gradient by them [N], to which others may add.
+    pub gradient: Frames<f32>,
+    /// Mean energies.
+    pub energies: TermEnergies,
+    features: Vec<f32>,
+    joints: JointFrames<f32>,
+    tape: Vec<f32>,
+    steps: usize,
+    windows: usize,
+}
+
+/// Net, features and first parameters of a garment that was never trained.
+pub fn untrained(
+    garment: &FittedGarment,
+    body: &BodyDescription,
+    spec: &dyn NetSpec,
+    config: &TrainConfig,
+    motion: &MotionFrames,
+    scans: &BodyTrack,
+    seed: u64,
+) -> Result<TrainedGarment> {
+    let joints = moving_joints(&body.joints, &garment.weights);
+    // The root's velocity drives inertia; static poses stand still, which is what a zero says.
+    let options = FeatureOptions { root_velocity: true, ..FeatureOptions::default() };
+    let mut features = PoseFeatures::new(joints, options, GRAVITY)?;
+    let mut raw = Vec::new();
+    for frame in 0..motion.track.len() {
+        raw.push(features.raw(&motion.track.poses[frame], before(motion, frame), 1.0 / motion.fps)?);
+    }
+    for pose in &scans.poses {
+        raw.push(features.raw(pose, None, 1.0 / motion.fps)?);
+    }
+    features.standardise(&raw)?;
+    let net = spec.build(features.count(), 3 * garment.mesh.vertices.len())?;
+    let parameters = net.initialise(seed).into_iter().map(|p| p as f32).collect();
+    Ok(TrainedGarment {
+        kind: garment.kind,
+        features,
+        manifest: net.manifest().clone(),
+        parameters,
+        output_scale_m: config.output_scale_m,
+        fps: motion.fps,
+        material: None,
+        curve: Vec::new(),
+    })
+}
+
+fn before(motion: &MotionFrames, frame: usize) -> Option<&caphy_core::pose::Pose> {
+    motion.has_before[frame].then(|| &motion.track.poses[frame - 1])
+}
+
+impl<'a> GarmentLearner<'a> {
+    /// A learner that goes on from a trained (or untrained) garment.
+    pub fn new(
+        garment: &FittedGarment,
+        trained: &TrainedGarment,
+        material: Arc<dyn MaterialModel>,
+        spec: &dyn NetSpec,
+        config: &TrainConfig,
+        motion: &'a MotionFrames,
+        scans: &'a ScanFrames,
+    ) -> Result<GarmentLearner<'a>> {
+        let rest = garment.rest(&*material)?;
+        let physics = Physics::new(&rest, material, &config.contact, motion.fps, &config.weights)?;
+        let skinner = Skinner::new(&garment.mesh.vertices, &garment.weights)?;
+        let held = skinner.select(physics.attachment.vertices())?;
+        let net = spec.build(trained.features.count(), 3 * garment.mesh.vertices.len())?;
+        if *net.manifest() != trained.manifest {
+            return Err(Error::config(
+                "net",
+                "the trained net has other sizes than the configured one",
+                "train again from the start: delete the run folder or choose another",
+            ));
+        }
+        let step = 1.0 / motion.fps;
+        let motion_features = (0..motion.track.len())
+            .map(|f| trained.features.frame(&motion.track.poses[f], before(motion, f), step))
+            .collect::<Result<Vec<Vec<f32>>>>()?;
+        let scan_features = scans
+            .track
+            .poses
+            .iter()
+            .map(|p| trained.features.frame(p, None, step))
+            .collect::<Result<Vec<Vec<f32>>>>()?;
+        let n = trained.parameters.len();
+        Ok(GarmentLearner {
+            chamfer: Chamfer::new(&rest, Some(&scans.visible))?,
+            scan_weight: config.weights.scan,
+            rest,
+            physics,
+            skinner,
+            held,
+            net,
+            features: trained.features.clone(),
+            motion_features,
+            scan_features,
+            motion,
+            scans,
+            output_scale: trained.output_scale_m as f32,
+            parameters: trained.parameters.clone(),
+            gradient: vec![0.0; n],
+            first_moment: vec![0.0; n],
+            second_moment: vec![0.0; n],
+            adam: Adam { learning_rate: config.learning_rate as f32, ..Adam::default() },
+        })
+    }
+
+    /// Poses a batch by the net and adds up its energies and their gradients by the garment's vertices, as means over frames.
+    pub fn forward(&self, batch: &Batch) -> Result<Pass> {
+        let (track, features) = if batch.scans {
+            (&*self.scans.track, &self.scan_features)
+        } else {
+            (&self.motion.track, &self.motion_features)
+        };
+        let windows = batch.windows;
+        let steps = batch.frames.len() / windows;
+        let inputs: Vec<f32> = batch.frames.iter().flat_map(|&f| features[f].iter().copied()).collect();
+        let manifest = self.net.manifest();
+        let mut output = vec![0.0f32; steps * windows * manifest.outputs];
+        let mut tape = vec![0.0f32; self.net.tape_len(steps, windows)];
+        let mut block = ForwardBlock {
+            steps,
+            batch: windows,
+            parameters: (&self.parameters[..]).into(),
+            features: (&inputs[..]).into(),
+            state_before: In::absent(),
+            output: (&mut output[..]).into(),
+            state_after: Out::absent(),
+            tape: (&mut tape[..]).into(),
+        };
+        self.net.forward(ForwardCall::F32(&mut block))?;
+        output.iter_mut().for_each(|d| *d *= self.output_scale);
+
+        let transforms = track.transforms(&batch.frames);
+        let joints = self.skinner.joint_frames(&transforms, windows)?;
+        let mut positions = Frames::zeros(steps, self.skinner.vertex_count(), windows);
+        self.skinner.forward(&joints, Some(&output), &mut positions)?;
+        let held_joints = self.held.joint_frames(&transforms, windows)?;
+        let mut targets = Frames::zeros(steps, self.held.vertex_count(), windows);
+        self.held.forward(&held_joints, None, &mut targets)?;
+        let (body, normals) = track.gather::<f32>(&batch.frames, windows);
+        let state = State::new(&positions)
+            .with_body(BodyState { positions: &body, normals: &normals, nearest: None })
+            .with_targets(&targets);
+        let mut gradient = Frames::zeros(steps, self.skinner.vertex_count(), windows);
+        let scale = 1.0 / (steps * windows) as f64;
+        let dynamics = if batch.scans { Dynamics::Static } else { Dynamics::Moving };
+        let mut energies = self.physics.add(&state, dynamics, scale, Some(&mut gradient))?;
+        if batch.scans {
+            let clouds: Vec<&ScanCloud<f32>> = batch.frames.iter().map(|&f| &self.scans.clouds[f]).collect();
+            let state = state.with_scans(&clouds);
+            let mut squared = vec![0.0; batch.frames.len()];
+            if self.scan_weight > 0.0 {
+                self.chamfer.add(&state, self.scan_weight * scale, &mut squared, Some(&mut gradient))?;
+            }
+            energies.push(("scan", squared.iter().sum::<f64>()));
+        }
+        Ok(Pass { positions, gradient, energies, features: inputs, joints, tape, steps, windows })
+    }
+
+    /// Carries a pass's gradient back into the net's parameters.
+    pub fn backward(&mut self, pass: &Pass) -> Result<()> {
+        let outputs = self.net.manifest().outputs;
+        let mut displacement = vec![0.0f32; pass.steps * pass.windows * outputs];
+        self.skinner.vjp(&pass.joints, &pass.gradient, &mut displacement)?;
+        displacement.iter_mut().for_each(|d| *d *= self.output_scale);
+        let mut block = BackwardBlock {
+            steps: pass.steps,
+            batch: pass.windows,
+            parameters: (&self.parameters[..]).into(),
+            features: (&pass.features[..]).into(),
+            state_before: In::absent(),
+            tape: (&pass.tape[..]).into(),
+            output_gradient: (&displacement[..]).into(),
+            parameter_gradient: (&mut self.gradient[..]).into(),
+            feature_gradient: Out::absent(),
+        };
+        self.net.backward(BackwardCall::F32(&mut block))
+    }
+
+    /// One step of Adam; returns the gradient's norm before it was shortened.
+    pub fn step(&mut self, learning_rate: f64, clip_norm: f64) -> Result<f64> {
+        self.adam.learning_rate = learning_rate as f32;
+        self.adam.step(
+            Some(clip_norm as f32),
+            &mut self.parameters,
+            &mut self.gradient,
+            &mut self.first_moment,
+            &mut self.second_moment,
+        )
+    }
+
+    /// State for a checkpoint.
+    pub fn snapshot(&self) -> LearnerState {
+        LearnerState {
+            parameters: self.parameters.clone(),
+            first_moment: self.first_moment.clone(),
+            second_moment: self.second_moment.clone(),
+            adam_step: self.adam.step,
+        }
+    }
+    /// Goes back to a checkpoint.
+    pub fn restore(&mut self, state: &LearnerState) -> Result<()> {
+        for (what, values) in [
+            ("net parameters of a checkpoint", &state.parameters),
+            ("first moments of a checkpoint", &state.first_moment),
+            ("second moments of a checkpoint", &state.second_moment),
+        ] {
+            Error::check_length(what, self.parameters.len(), values.len())?;
+        }
+        self.parameters.copy_from_slice(&state.parameters);
+        self.first_moment.copy_from_slice(&state.first_moment);
+        self.second_moment.copy_from_slice(&state.second_moment);
+        self.gradient.fill(0.0);
+        self.adam.step = state.adam_step;
+        Ok(())
+    }
+    /// Features of the net.
+    pub fn features(&self) -> &PoseFeatures {
+        &self.features
+    }
+}
+
+/// Net and optimiser at some step.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LearnerState {
+    parameters: Vec<f32>,
+    first_moment: Vec<f32>,
+    second_moment: Vec<f32>,
+    adam_step: u64,
+}
+
+/// One recorded point of training.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CurvePoint {
+    /// Step.
+    pub step: usize,
+    /// Whether the batch was scan poses.
+    pub scans: bool,
+    /// Mean energy per term [J per frame]; `scan` is λ3d times the mean squared distance.
+    pub energies: Vec<(String, f64)>,
+    /// Norm of the gradient.
+    pub gradient_norm: f64,
+}
+
+/// The learning rate at a share of the whole: a short rise, then a cosine down to `final_rate`.
+pub fn learning_rate(config: &TrainConfig, first: f64, share: f64) -> f64 {
+    const RISE: f64 = 0.01;
+    let rise = (share / RISE).min(1.0).max(0.05);
+    let cosine = 0.5 * (1.0 + (std::f64::consts::PI * share.clamp(0.0, 1.0)).cos());
+    first * rise * (config.final_rate + (1.0 - config.final_rate) * cosine)
+}

@@ -1,0 +1,54 @@
+//! Dependencies between the crates point one way (see CONTRIBUTING.md).
+
+use std::collections::{BTreeMap, BTreeSet};
+
+/// For each crate the workspace crates it may build on; dev-dependencies are free, as they ship nothing.
+fn allowed() -> BTreeMap<&'static str, BTreeSet<&'static str>> {
+    let plugin = ["caphy-core", "caphy-formats", "caphy-render"];
+    let base = ["caphy-core"];
+    let all = [
+        "caphy-core",
+        "caphy-materials",
+        "caphy-bodymodel",
+        "caphy-nets",
+        "caphy-segmentation",
+        "caphy-garment",
+        "caphy-formats",
+        "caphy-render",
+    ];
+    BTreeMap::from([
+        ("caphy", all.into()),
+        ("caphy-materials", plugin.into()),
+        ("caphy-bodymodel", plugin.into()),
+        ("caphy-nets", plugin.into()),
+        ("caphy-segmentation", plugin.into()),
+        ("caphy-garment", plugin.into()),
+        ("caphy-formats", base.into()),
+        ("caphy-render", base.into()),
+        ("caphy-core", BTreeSet::new()),
+    ])
+}
+
+#[test]
+fn dependencies_point_one_way() {
+    let output = std::process::Command::new(env!("CARGO"))
+        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("cargo metadata runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).expect("cargo metadata prints JSON");
+    let allowed = allowed();
+    let packages = metadata["packages"].as_array().expect("a list of packages");
+    assert_eq!(packages.len(), allowed.len(), "a new crate needs its line in `allowed`");
+    for package in packages {
+        let name = package["name"].as_str().unwrap();
+        let may = allowed.get(name).unwrap_or_else(|| panic!("{name} needs its line in `allowed`"));
+        for dependency in package["dependencies"].as_array().unwrap() {
+            let on = dependency["name"].as_str().unwrap();
+            if dependency["kind"].is_null() && on.starts_with("caphy") {
+                assert!(may.contains(on), "{name} must not depend on {on}");
+            }
+        }
+    }
+}
