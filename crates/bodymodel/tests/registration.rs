@@ -14,8 +14,8 @@ use rand_chacha::ChaCha8Rng;
 
 const CLOTH: f64 = 0.01;
 
-/// The posed figure as a scan: torso and upper arms in an upper, legs in a lower garment 1 cm outside the skin, points on other
-/// tubes' insides left out, `noise` [m], a share of `outliers`, and a hole around each of `holes`.
+/// The posed figure as a scan: torso and upper arms in an upper, legs in a lower garment 1 cm outside the skin,
+/// points on other tubes' insides left out, `noise` [m], a share of `outliers`, and a hole around each of `holes`.
 fn scan(
     figure: &Figure,
     shape: &[f64],
@@ -179,7 +179,8 @@ fn from_thirty_degrees_off_through_holes_and_outliers() {
     for seed in 0..trials {
         let points = scan(&figure, &shape, &truth, seed, 0.05, &holes);
         let mut start = truth.clone();
-        // 30° about a random axis at every joint that a scan determines; half of that along the spine, where errors add up.
+        // 30° about a random axis at every joint that a scan determines; half of that along the spine, where errors
+        // add up.
         for (j, joint) in d.joints.iter().enumerate() {
             let angle: f64 = match joint.name.rsplit('_').next().unwrap() {
                 "hip" | "knee" | "shoulder" | "elbow" | "pelvis" | "ankle" | "wrist" => 30.0,

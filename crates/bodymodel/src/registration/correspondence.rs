@@ -29,8 +29,8 @@ pub(super) struct NormalIndex<'a> {
     cos_max: f64,
 }
 
-/// Largest angle between a bucket's direction and its points' normals [rad]: with queries at most 36° from the direction,
-/// points within 21° of the query's normal are never missed, and none is off by more than 93°.
+/// Largest angle between a bucket's direction and its points' normals [rad]: with queries at most 36° from the
+/// direction, points within 21° of the query's normal are never missed, and none is off by more than 93°.
 const BUCKET_ANGLE: f64 = 1.0;
 
 impl<'a> NormalIndex<'a> {
@@ -57,8 +57,8 @@ impl<'a> NormalIndex<'a> {
     }
     /// Id and distance [m] of the nearest compatible point within `distance_max` [m].
     ///
-    /// Points whose normal is near the limit angle may be missed; where the nearest of the bucket is not compatible there
-    /// is no answer, rather than a farther one.
+    /// Points whose normal is near the limit angle may be missed; where the nearest of the bucket is not compatible
+    /// there is no answer, rather than a farther one.
     pub(super) fn nearest(&self, point: &Vec3, normal: &Vec3, distance_max: f64) -> Option<(usize, f64)> {
         let bucket = directions()
             .iter()

@@ -1,8 +1,8 @@
 //! Displacements dT on top of shape and pose (the non-rigid step), and how well the whole fits.
 //!
 //! dT moves along the normals of the T-posed surface by a smooth height field h that minimises
-//! ∫ Σ_scans w (h - t)²/σ_skin² + (h² + ℓ²|∇h|²)/σ_dT² dA, with t the wanted height where bare skin lies on a scan or where skin
-//! sticks out of cloth. Skin inside cloth wants nothing.
+//! ∫ Σ_scans w (h - t)²/σ_skin² + (h² + ℓ²|∇h|²)/σ_dT² dA, with t the wanted height where bare skin lies on a scan or
+//! where skin sticks out of cloth. Skin inside cloth wants nothing.
 
 use super::correspondence::NormalIndex;
 use super::solve::{Level, Problem, ScanData, State, pose_body, pulls};

@@ -1,12 +1,13 @@
 //! Segmentation-aware registration: one naked body shape and a pose per scan, under the clothes (Sec. 3.1).
 //!
 //! # Method
-//! Skin of the scan attracts the body. Cloth holds it inside: a stiff one-sided bound, a weak expectation of ease, and a weak
-//! pull where the body is deeper than clothes usually are. Correspondences go both ways, to the nearest point whose
-//! normal is compatible; residuals are distances along the scan's normal with Geman-McClure weights whose scale shrinks. Priors
-//! hold the pose (knees and elbows bend one way) and the shape (N(0, 1)). Gauss-Newton steps with the body's own Jacobian
-//! solve all poses and the shared shape together: the arrow-shaped system by Schur's complement. The start is a coarse
-//! search over heading, position, arms and legs, whose best poses are tried before one is kept.
+//! Skin of the scan attracts the body. Cloth holds it inside: a stiff one-sided bound, a weak expectation of ease,
+//! and a weak pull where the body is deeper than clothes usually are. Correspondences go both ways, to the nearest
+//! point whose normal is compatible; residuals are distances along the scan's normal with Geman-McClure weights whose
+//! scale shrinks. Priors hold the pose (knees and elbows bend one way) and the shape (N(0, 1)). Gauss-Newton steps
+//! with the body's own Jacobian solve all poses and the shared shape together: the arrow-shaped system by Schur's
+//! complement. The start is a coarse search over heading, position, arms and legs, whose best poses are tried before
+//! one is kept.
 //!
 //! Nothing here assumes SMPL-X but the joint names that choose priors and limbs; joints of other names get defaults.
 //!
@@ -36,10 +37,11 @@ use solve::{Level, Problem, ScanData, State, TRIAL_END};
 pub struct RegistrationScan<'a> {
     /// Name for reports and errors.
     pub name: &'a str,
-    /// Points [m], y up; normals; labels. Points labelled [`Ignore`](caphy_core::scan::Label::Ignore) are not looked at.
+    /// Points [m], y up; normals; labels. Points labelled [`Ignore`](caphy_core::scan::Label::Ignore) are not looked
+    /// at.
     pub points: &'a LabelledPoints,
-    /// A rough pose, from a keypoint fit say; it joins the poses that are tried. `None`: only that the person stands more or
-    /// less upright is known.
+    /// A rough pose, from a keypoint fit say; it joins the poses that are tried. `None`: only that the person stands
+    /// more or less upright is known.
     pub start: Option<Pose>,
 }
 
@@ -48,8 +50,8 @@ pub struct RegistrationScan<'a> {
 pub struct ScanFit {
     /// The scan's name.
     pub name: String,
-    /// Root mean square distance of bare skin to the body along the normal, over sampled skin points within the last robust
-    /// scale [mm]; dT included.
+    /// Root mean square distance of bare skin to the body along the normal, over sampled skin points within the last
+    /// robust scale [mm]; dT included.
     pub skin_rms_mm: f64,
     /// Share of sampled skin points with the body within the last robust scale [1]: low when a limb was missed.
     pub skin_found_share: f64,
@@ -79,8 +81,9 @@ pub struct Registration {
 /// Fits one shape and a pose per scan. `progress` gets values rising from 0 to 1, from any thread.
 ///
 /// # Errors
-/// [`Error::Config`] for settings out of range; [`Error::Length`], [`Error::NonFinite`] or [`Error::Mesh`] for scans and
-/// start poses that cannot be used; [`Error::Numerics`] where the equations have no solution; the body's own errors.
+/// [`Error::Config`] for settings out of range; [`Error::Length`], [`Error::NonFinite`] or [`Error::Mesh`] for scans
+/// and start poses that cannot be used; [`Error::Numerics`] where the equations have no solution; the body's own
+/// errors.
 pub fn register(
     body: &dyn BodyModel,
     scans: &[RegistrationScan],

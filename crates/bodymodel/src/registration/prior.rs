@@ -47,8 +47,8 @@ pub(super) fn joint_priors(body: &BodyDescription) -> Vec<JointPrior> {
                 "hip" => (Group::Limb, [1.0, 0.4, 0.6], None),
                 // Shin backwards only; a knee hardly twists or bends sideways.
                 "knee" => (Group::Limb, [1.2, 0.15, 0.1], Some((0, 1.0))),
-                // A sleeve does not show twist (about x): hands decide it, through shoulder, elbow and wrist together, against
-                // tight priors; loose ones let the armpit's skinning artefacts twist an arm by 60°.
+                // A sleeve does not show twist (about x): hands decide it, through shoulder, elbow and wrist
+                // together, against tight priors; loose ones let the armpit's skinning artefacts twist an arm by 60°.
                 "shoulder" => (Group::Limb, [0.3, 1.0, 1.2], None),
                 // Forearm forwards only.
                 "elbow" => (Group::Limb, [0.25, 1.2, 0.15], Some((1, -side))),

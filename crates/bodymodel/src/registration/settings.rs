@@ -27,7 +27,8 @@ pub struct RegistrationSettings {
     pub skin_sigma: f64,
     /// Standard deviation of skin that sticks out of cloth [m] (default 4 mm).
     pub outside_sigma: f64,
-    /// Depth of the skin under cloth that is expected when nothing else is known [m] (default 8 mm: cloth and its ease).
+    /// Depth of the skin under cloth that is expected when nothing else is known [m] (default 8 mm: cloth and its
+    /// ease).
     pub cloth_ease: f64,
     /// Standard deviation of that expectation [m] (default 15 mm).
     pub cloth_ease_sigma: f64,

@@ -66,8 +66,8 @@ pub(super) struct Pull {
 
 /// The residuals of a vertex at signed distance `r` = n·(v - p) and distance `d` [m] from a scan point.
 ///
-/// Skin is attracted. Cloth holds the body inside: outside it, a stiff pull to the surface; deeper than allowed, a weak pull to
-/// that depth; in between only the expected ease, which is weak too.
+/// Skin is attracted. Cloth holds the body inside: outside it, a stiff pull to the surface; deeper than allowed, a
+/// weak pull to that depth; in between only the expected ease, which is weak too.
 pub(super) fn pulls(settings: &RegistrationSettings, level: &Level, label: Label, r: f64, d: f64) -> [Pull; 2] {
     let none = || Pull { target: 0.0, weight: 0.0 };
     // Far from the solution cloth says as clearly as skin where a limb is.
@@ -226,7 +226,7 @@ struct Block {
 }
 
 /// Levenberg damping: the standard deviation of one step in translation [m], rotation [rad], shape [1].
-const STEP_SD: [f64; 3] = [0.1, 0.3, 0.7];
+const STEP_SD: [f64; 3] = [0.1, 0.6, 1.0];
 /// Longest step in translation [m], rotation [rad], shape [1]: correspondences do not hold for longer.
 const STEP_MAX: [f64; 3] = [0.2, 0.4, 1.0];
 
@@ -287,7 +287,7 @@ fn block(problem: &Problem, scan: &ScanData, shape: &[f64], pose: &Pose, level: 
         }
         gradient[c] = sum;
     }
-    let mut hessian = a.tr_mul(&weighted);
+    let mut hessian = a.transpose() * weighted;
     for i in 0..pose_count {
         let kind = usize::from(i >= 3);
         hessian[(i, i)] += STEP_SD[kind].powi(-2);

@@ -1,8 +1,9 @@
 //! Where to start: a coarse search over heading, position, arms and legs with a thinned body.
 //!
-//! Iterative closest points only finds the pose whose basin it starts in. The search poses a few hundred vertices by plain
-//! linear blend skinning (pose correctives are smaller than what it resolves), measures a symmetric, capped distance to
-//! a few hundred scan points in position and normal, and turns one limb at a time through a table of angles.
+//! Iterative closest points only finds the pose whose basin it starts in. The search poses a few hundred vertices by
+//! plain linear blend skinning (pose correctives are smaller than what it resolves), measures a symmetric, capped
+//! distance to a few hundred scan points in position and normal, and turns one limb at a time through a table of
+//! angles.
 
 use super::correspondence::spread;
 use caphy_core::body::{BodyDescription, BodyModel, BodyParameters};
@@ -137,8 +138,8 @@ fn turn(axis: usize, degrees: f64) -> Rotation3<f64> {
     Rotation3::new(v)
 }
 
-/// The rotation of a limb that points along `along` [m] at rest to where `turned` takes it, without twist: twist under a
-/// sleeve is not seen by any scan, so a search must not invent it.
+/// The rotation of a limb that points along `along` [m] at rest to where `turned` takes it, without twist: twist
+/// under a sleeve is not seen by any scan, so a search must not invent it.
 fn swing(along: &Vec3, turned: &Rotation3<f64>) -> Vec3 {
     Rotation3::rotation_between(along, &(turned * along)).unwrap_or_else(Rotation3::identity).scaled_axis()
 }
@@ -219,7 +220,8 @@ impl<'a> Proxy<'a> {
         }
         Cloud::new(&points, &normals)
     }
-    /// Poses to try, best first: one per heading, at most `count`, and before them a given one, as it is and searched from.
+    /// Poses to try, best first: one per heading, at most `count`, and before them a given one, as it is and searched
+    /// from.
     pub(super) fn search(
         &self,
         scan: &LabelledPoints,
@@ -288,8 +290,8 @@ impl<'a> Proxy<'a> {
         }
         (best, pose)
     }
-    /// Moves the body as a whole to the cheapest of a few positions: boxes aligned below, above and by the median, then a
-    /// pattern search around the best.
+    /// Moves the body as a whole to the cheapest of a few positions: boxes aligned below, above and by the median,
+    /// then a pattern search around the best.
     fn place(&self, pose: &mut Pose, target: &Target, scratch: &mut [Vec<f32>; 2]) -> f64 {
         let posed = self.pose(pose);
         let range = |mut values: Vec<f64>| {
