@@ -1,7 +1,7 @@
 //! The embedded default body: a smooth adult mannequin in the SMPL-X joint layout, generated, free of licences.
 //!
-//! Solids along the skeleton ([`figure`]) are blended into one implicit surface, meshed and relaxed ([`surface`]),
-//! skinned ([`skinning`]) and given ten shape coefficients ([`shape`]); the result is the same
+//! Solids along the skeleton (`figure`) are blended into one implicit surface, meshed and relaxed (`surface`),
+//! skinned (`skinning`) and given ten shape coefficients (`shape`); the result is the same
 //! [`BodySmplx`] that files give.
 
 mod field;

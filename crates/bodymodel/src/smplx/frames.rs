@@ -14,27 +14,22 @@ simd_kernel! {
     /// Skins one chunk of vertices of one block in place. `points` and `transforms` are `[vertex][xyz][16]` and
     /// `[joint][12][16]` (rows of a 3×4 matrix); `offsets` has one more entry than there are vertices.
     fn skin<T>(points: &mut [T], offsets: &[u32], joints: &[u16], weights: &[T], transforms: &[T]) {
+        let transforms = transforms.as_chunks::<192>().0;
         for (point, row) in points.as_chunks_mut::<48>().0.iter_mut().zip(offsets.windows(2)) {
-            let mut blended = [[T::zero(); 16]; 12];
-            for entry in row[0] as usize..row[1] as usize {
-                let w = weights[entry];
-                let from = joints[entry] as usize * 192;
-                let transform = transforms[from..from + 192].as_chunks::<16>().0;
-                for (b, t) in blended.iter_mut().zip(transform) {
-                    for l in 0..16 {
-                        b[l] += w * t[l];
-                    }
-                }
-            }
             let p = *point;
-            for axis in 0..3 {
+            let mut sum = [T::zero(); 48];
+            let entries = row[0] as usize..row[1] as usize;
+            for (&joint, &w) in joints[entries.clone()].iter().zip(&weights[entries]) {
+                let t = &transforms[joint as usize];
+                // One loop over lanes per joint: this shape is what the compiler turns into whole registers.
                 for l in 0..16 {
-                    point[16 * axis + l] = blended[4 * axis][l] * p[l]
-                        + blended[4 * axis + 1][l] * p[16 + l]
-                        + blended[4 * axis + 2][l] * p[32 + l]
-                        + blended[4 * axis + 3][l];
+                    let (x, y, z) = (p[l], p[16 + l], p[32 + l]);
+                    sum[l] += w * (t[l] * x + t[16 + l] * y + t[32 + l] * z + t[48 + l]);
+                    sum[16 + l] += w * (t[64 + l] * x + t[80 + l] * y + t[96 + l] * z + t[112 + l]);
+                    sum[32 + l] += w * (t[128 + l] * x + t[144 + l] * y + t[160 + l] * z + t[176 + l]);
                 }
             }
+            *point = sum;
         }
     }
 }
@@ -44,6 +39,11 @@ struct SubsetWeights {
     offsets: Vec<u32>,
     joints: Vec<u16>,
     weights: Vec<f32>,
+}
+
+/// Whether two sets of parameters differ in the pose alone.
+fn same_body(a: &BodyParameters, b: &BodyParameters) -> bool {
+    a.shape == b.shape && a.expression == b.expression && a.displacement == b.displacement
 }
 
 impl BodySmplx {
@@ -101,7 +101,15 @@ impl BodySmplx {
                 }
             }
         }
-        self.place_unposed(frames, ids, out)?;
+        // The usual batch is one body in many poses: its surface is spread over the lanes once.
+        let one_body = frames.windows(2).all(|pair| same_body(&pair[0], &pair[1]));
+        let shared = match frames.first() {
+            Some(first) if one_body => self.unposed_points(first, ids)?,
+            _ => {
+                self.place_unposed(frames, ids, out)?;
+                Vec::new()
+            }
+        };
 
         let range = {
             let busy: Vec<f64> =
@@ -122,6 +130,15 @@ impl BodySmplx {
         pieces.into_par_iter().enumerate().for_each(|(chunk, mut pieces)| {
             let from = chunk * CHUNK;
             let ids = &ids[from..(from + CHUNK).min(ids.len())];
+            if one_body {
+                for piece in &mut pieces {
+                    for (lanes, p) in piece.chunks_exact_mut(3 * L).zip(&shared[from..]) {
+                        for axis in 0..3 {
+                            lanes[axis * L..(axis + 1) * L].fill(p[axis] as f32);
+                        }
+                    }
+                }
+            }
             if let (Some(_), Some(range)) = (&self.correctives, range) {
                 self.add_correctives(ids, &features, range, &mut pieces);
             }
@@ -134,31 +151,25 @@ impl BodySmplx {
         Ok(())
     }
 
-    /// Writes T(β) + dT into all lanes. Frames of one body (the usual batch) compute it once.
+    /// T(β) + dT of some vertices [m].
+    fn unposed_points(&self, parameters: &BodyParameters, ids: &[u32]) -> Result<Vec<Vec3>> {
+        let coefficients = self.coefficients(&parameters.shape, &parameters.expression)?;
+        let point = |&id: &u32| {
+            let v = id as usize;
+            let mut p = self.template[v];
+            for &(k, c) in &coefficients {
+                p += self.directions[k][v] * c;
+            }
+            p + parameters.displacement.get(v).copied().unwrap_or_else(Vec3::zeros)
+        };
+        Ok(ids.iter().map(point).collect())
+    }
+
+    /// Writes T(β) + dT of each frame into its lane.
     fn place_unposed(&self, frames: &[BodyParameters], ids: &[u32], out: &mut Frames<f32>) -> Result<()> {
         let lanes = out.lanes_used();
-        let mut previous: Option<(&BodyParameters, Vec<Vec3>)> = None;
         for (i, parameters) in frames.iter().enumerate() {
-            let same = previous.as_ref().is_some_and(|(p, _)| {
-                p.shape == parameters.shape
-                    && p.expression == parameters.expression
-                    && p.displacement == parameters.displacement
-            });
-            if !same {
-                let coefficients = self.coefficients(&parameters.shape, &parameters.expression)?;
-                let point = |&id: &u32| {
-                    let v = id as usize;
-                    let mut p = self.template[v];
-                    for &(k, c) in &coefficients {
-                        p += self.directions[k][v] * c;
-                    }
-                    p + parameters.displacement.get(v).copied().unwrap_or_else(Vec3::zeros)
-                };
-                previous = Some((parameters, ids.iter().map(point).collect()));
-            }
-            if let Some((_, points)) = &previous {
-                out.set_frame(i / lanes, i % lanes, points)?;
-            }
+            out.set_frame(i / lanes, i % lanes, &self.unposed_points(parameters, ids)?)?;
         }
         Ok(())
     }
