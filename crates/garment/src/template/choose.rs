@@ -46,7 +46,8 @@ struct Scan<'a> {
 
 impl<'a> Scan<'a> {
     fn new(points: &'a [Vec3], options: &ChooseOptions<'_>) -> Result<Self> {
-        for (what, list) in [("scan points of a garment", points), ("scan points of the garment over it", options.covered_by)]
+        for (what, list) in
+            [("scan points of a garment", points), ("scan points of the garment over it", options.covered_by)]
         {
             let flat: Vec<f64> = list.iter().flat_map(|p| p.iter().copied()).collect();
             Error::check_finite(what, &flat)?;
@@ -72,7 +73,12 @@ impl<'a> Scan<'a> {
         if there.2 == 0 {
             // Nothing of it would be seen, but its points are in the scan: as bad as can be.
             let infinite = f64::INFINITY;
-            return Ok(Chamfer { squared: infinite, scan_to_garment: infinite, garment_to_scan: infinite, counted: 0.0 });
+            return Ok(Chamfer {
+                squared: infinite,
+                scan_to_garment: infinite,
+                garment_to_scan: infinite,
+                counted: 0.0,
+            });
         }
         let grid = NearestGrid::from_points(garment);
         let mut back = (0.0, 0.0);

@@ -58,7 +58,8 @@ impl DistanceGrid {
     pub(crate) fn new(mesh: &TriMesh, low: Vec3, high: Vec3) -> Self {
         let pad = Vec3::repeat(BAND + 2.0 * CELL);
         let (low, high) = (low - pad, high + pad);
-        let size: [usize; 3] = std::array::from_fn(|k| ((((high[k] - low[k]) / CELL).ceil().max(1.0)) as usize + 1).min(800));
+        let size: [usize; 3] =
+            std::array::from_fn(|k| ((((high[k] - low[k]) / CELL).ceil().max(1.0)) as usize + 1).min(800));
         let turned = if signed_volume(mesh) < 0.0 { -1.0 } else { 1.0 };
         let [nx, ny, nz] = size;
         let plane = nx * ny;
@@ -257,7 +258,16 @@ mod tests {
     /// An octahedron subdivided to a sphere of radius 0.1 m.
     fn sphere() -> TriMesh {
         let mut corners = vec![];
-        for (sx, sy, sz) in [(1., 1., 1.), (-1., 1., 1.), (1., -1., 1.), (1., 1., -1.), (-1., -1., 1.), (-1., 1., -1.), (1., -1., -1.), (-1., -1., -1.)] {
+        for (sx, sy, sz) in [
+            (1., 1., 1.),
+            (-1., 1., 1.),
+            (1., -1., 1.),
+            (1., 1., -1.),
+            (-1., -1., 1.),
+            (-1., 1., -1.),
+            (1., -1., -1.),
+            (-1., -1., -1.),
+        ] {
             let (a, b, c) = (Vec3::x() * sx, Vec3::y() * sy, Vec3::z() * sz);
             corners.push(if sx * sy * sz > 0.0 { [a, b, c] } else { [a, c, b] });
         }

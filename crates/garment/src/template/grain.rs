@@ -58,7 +58,9 @@ fn dominant_joint(body: &BodyRest, vertices: [u32; 3]) -> usize {
             }
         }
     }
-    sums.iter().fold((usize::MAX, 0.0), |best, &(j, w)| if w > best.1 || (w == best.1 && j < best.0) { (j, w) } else { best }).0
+    sums.iter()
+        .fold((usize::MAX, 0.0), |best, &(j, w)| if w > best.1 || (w == best.1 && j < best.0) { (j, w) } else { best })
+        .0
 }
 
 /// From a limb's joint to the next one down the limb.

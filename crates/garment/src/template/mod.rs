@@ -18,9 +18,7 @@ pub use choose::{
     Chamfer, Choice, ChooseOptions, Refinement, choose_template, pose_by_nearest_vertex, pose_by_weights, refine_style,
 };
 pub use rest::BodyRest;
-pub use style::{
-    GarmentKind, LOWER_RANGES, LowerStyle, Style, StyleRange, UPPER_RANGES, UpperStyle, sample_styles,
-};
+pub use style::{GarmentKind, LOWER_RANGES, LowerStyle, Style, StyleRange, UPPER_RANGES, UpperStyle, sample_styles};
 
 use caphy_core::query::{Adjacency, NearestGrid, boundary_loops, hinges};
 use caphy_core::{Error, Result, TriMesh, Vec3};
@@ -168,7 +166,7 @@ impl Tailor {
             Style::Upper(s) => Shape::upper(&self.marks, &self.grid, s, gap),
             Style::Lower(s) => Shape::lower(&self.marks, &self.grid, s, gap),
         };
-        let raw = surface::extract(&shape, (0.85 * resolution_m).min(0.02));
+        let raw = surface::extract(&shape, (0.7 * resolution_m).min(0.02));
         let (mut mesh, cuts) = remesh::remesh(&shape, &raw, resolution_m);
         self.push_out(&mut mesh);
         let loops = named_loops(&shape, &mesh, &cuts, style)?;

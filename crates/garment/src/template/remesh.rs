@@ -53,6 +53,8 @@ pub(crate) fn remesh(shape: &Shape<'_>, mesh: &TriMesh, target: f64) -> (TriMesh
         r.relax(0.9);
     }
     r.ease_creases();
+    r.collapse_short(0.6 * target);
+    r.flip();
     r.finish()
 }
 
@@ -64,7 +66,7 @@ impl<'a, 'b> Remesher<'a, 'b> {
             vertices: mesh.vertices.clone(),
             cut: vec![INTERIOR; mesh.vertices.len()],
             faces: mesh.faces.clone(),
-            free: Vec::new(),
+            free: vec![false; mesh.vertices.len()],
             around: vec![Vec::new(); mesh.vertices.len()],
         };
         for (f, face) in r.faces.iter().enumerate() {
@@ -87,10 +89,7 @@ impl<'a, 'b> Remesher<'a, 'b> {
     /// Edges once each, in the order of faces. Neighbouring faces run along an edge in opposite senses: one of them low to high.
     fn edges(&self) -> Vec<(u32, u32)> {
         let sides = self.faces.iter().filter(|f| **f != DEAD).flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
-        sides
-            .filter(|&(a, b)| a < b || self.edge_faces(a, b).len() == 1)
-            .map(|(a, b)| (a.min(b), a.max(b)))
-            .collect()
+        sides.filter(|&(a, b)| a < b || self.edge_faces(a, b).len() == 1).map(|(a, b)| (a.min(b), a.max(b))).collect()
     }
     fn length(&self, a: u32, b: u32) -> f64 {
         (self.vertices[a as usize] - self.vertices[b as usize]).norm()
@@ -106,11 +105,8 @@ impl<'a, 'b> Remesher<'a, 'b> {
         out
     }
     fn neighbours(&self, v: u32) -> Vec<u32> {
-        let mut out: Vec<u32> = self.around[v as usize]
-            .iter()
-            .flat_map(|&f| self.faces[f as usize])
-            .filter(|&w| w != v)
-            .collect();
+        let mut out: Vec<u32> =
+            self.around[v as usize].iter().flat_map(|&f| self.faces[f as usize]).filter(|&w| w != v).collect();
         out.sort_unstable();
         out.dedup();
         out
@@ -153,6 +149,7 @@ impl<'a, 'b> Remesher<'a, 'b> {
             self.vertices.push((self.vertices[a as usize] + self.vertices[b as usize]) * 0.5);
             self.cut.push(if faces.len() == 1 { self.cut[a as usize] } else { INTERIOR });
             self.around.push(Vec::new());
+            self.free.push(false);
             for &f in faces.iter() {
                 let old = self.faces[f as usize];
                 let added = self.faces.len() as u32;
@@ -195,7 +192,9 @@ impl<'a, 'b> Remesher<'a, 'b> {
             _ => (pa + pb) * 0.5,
         };
         let longest = 1.3 * self.target;
-        let too_long = |list: &[u32]| list.iter().any(|&v| v != a && v != b && (self.vertices[v as usize] - place).norm() > longest);
+        let too_long = |list: &[u32]| {
+            list.iter().any(|&v| v != a && v != b && (self.vertices[v as usize] - place).norm() > longest)
+        };
         if too_long(&near_a) || too_long(&near_b) {
             return;
         }
@@ -231,6 +230,7 @@ impl<'a, 'b> Remesher<'a, 'b> {
         if self.cut[a as usize] == INTERIOR {
             self.cut[a as usize] = self.cut[b as usize];
         }
+        self.free[a as usize] |= self.free[b as usize] && self.cut[a as usize] == INTERIOR;
         self.vertices[a as usize] = place;
     }
 
@@ -345,7 +345,6 @@ impl<'a, 'b> Remesher<'a, 'b> {
     /// Rounds what the mesh is too coarse to follow (a crotch between close thighs): vertices at sharp edges leave the level
     /// function for the middle of their neighbours.
     fn ease_creases(&mut self) {
-        self.free = vec![false; self.vertices.len()];
         for _ in 0..CREASE_ROUNDS {
             let mut sharp = vec![false; self.vertices.len()];
             for (a, b) in self.edges() {

@@ -196,7 +196,12 @@ impl Landmarks {
                 Ok(lengths)
             } else {
                 let problem = format!("the {what} are {:.3} and {:.3} m long", lengths[0], lengths[1]);
-                Err(Error::mesh("body at rest", format!("{what} joints"), problem, "give joints of a whole body in metres"))
+                Err(Error::mesh(
+                    "body at rest",
+                    format!("{what} joints"),
+                    problem,
+                    "give joints of a whole body in metres",
+                ))
             }
         };
         let arm_length = length(&shoulders, &wrists, "arms")?;
@@ -212,7 +217,14 @@ impl Landmarks {
             let keep: Vec<bool> = arm_weights.iter().map(|w| w[side] > 0.5).collect();
             // Nearer the shoulder the arm's skin is no closed ring: it ends at the armpit.
             let whole = (0.22 * arm_length[side], arm_length[side] + 0.01);
-            Tube::measure(["left arm", "right arm"][side], &body.mesh, &keep, axes, whole, (0.0, arm_length[side] + 0.02))
+            Tube::measure(
+                ["left arm", "right arm"][side],
+                &body.mesh,
+                &keep,
+                axes,
+                whole,
+                (0.0, arm_length[side] + 0.02),
+            )
         };
         let arms = [arm(0)?, arm(1)?];
         let armpit_of = |side: usize| shoulders[side].y - arms[side].reach_at(0.0, &-Vec3::y()) - 0.01;
@@ -220,7 +232,8 @@ impl Landmarks {
 
         // The narrowest girth between chest and pelvis, and the neck's narrowest above the shoulders.
         let shoulder_height = 0.5 * (shoulders[0].y + shoulders[1].y);
-        let waist = trunk.narrowest(pelvis.y.max(hips[0].y) + 0.04, spine3.y.max(pelvis.y + 0.1).min(armpit)) + pelvis.y;
+        let waist =
+            trunk.narrowest(pelvis.y.max(hips[0].y) + 0.04, spine3.y.max(pelvis.y + 0.1).min(armpit)) + pelvis.y;
         let throat = trunk.narrowest(neck.y.min(head.y - 0.02) - 0.02, head.y) + pelvis.y;
         let neck_girth = trunk.girth_at(throat - pelvis.y);
         let mut neck_base = throat;
@@ -230,7 +243,20 @@ impl Landmarks {
         let at = neck_base - pelvis.y;
         let (front, back) = (trunk.reach_at(at, &Vec3::z()), trunk.reach_at(at, &-Vec3::z()));
         let neck_depth = pelvis.z + 0.5 * (front - back);
-        let neck_half_width = 0.5 * (trunk.reach_at(at, &Vec3::x()) + trunk.reach_at(at, &-Vec3::x()));
+        // A girth 1.3 times the throat's, as its base has, goes with about that width.
+        let width = |y: f64| trunk.reach_at(y - pelvis.y, &Vec3::x()) + trunk.reach_at(y - pelvis.y, &-Vec3::x());
+        let neck_half_width = 0.5 * width(neck_base).min(1.3 * width(throat));
+
+        // On square shoulders the neckline must still clear the cloth that lies on them beside the neck.
+        let wide = |y: f64| {
+            let half = |d: Vec3| trunk.reach_at(y - pelvis.y, &d);
+            half(Vec3::x()).max(half(-Vec3::x())) >= 1.8 * neck_half_width
+        };
+        let mut shoulder_top = throat;
+        while shoulder_top > armpit && !wide(shoulder_top) {
+            shoulder_top -= 0.005;
+        }
+        let neck_base = neck_base.max(shoulder_top + 0.025);
 
         // The crotch is where the sections of the two thighs come apart from below.
         let middle = 0.5 * (hips[0].x + hips[1].x);
@@ -241,7 +267,14 @@ impl Landmarks {
             let axes = TubeAxes::new(hips[side], ankles[side] - hips[side], Vec3::x());
             let keep: Vec<bool> = leg_weights.iter().map(|w| w[side] > 0.5).collect();
             let whole = (hips[side].y - crotch + 0.02, leg_length[side] + 0.01);
-            Tube::measure(["left leg", "right leg"][side], &body.mesh, &keep, axes, whole, (0.0, leg_length[side] + 0.02))
+            Tube::measure(
+                ["left leg", "right leg"][side],
+                &body.mesh,
+                &keep,
+                axes,
+                whole,
+                (0.0, leg_length[side] + 0.02),
+            )
         };
         let legs = [leg(0)?, leg(1)?];
         Ok(Self {

@@ -35,9 +35,7 @@ impl Cut {
     pub(crate) fn value(&self, p: &Vec3) -> f64 {
         match &self.surface {
             CutSurface::Plane { point, normal, above } => (p - point).dot(normal).min(p.y - above),
-            CutSurface::SidePlane { point, normal, sign, middle } => {
-                (p - point).dot(normal).min(sign * (p.x - middle))
-            }
+            CutSurface::SidePlane { point, normal, sign, middle } => (p - point).dot(normal).min(sign * (p.x - middle)),
             CutSurface::Neckline { centre, drop, depth, bowl } => {
                 let d = p - centre;
                 p.y - (centre.y - drop * smooth_step(-0.4, 1.0, d.z / depth) + bowl * d.x * d.x)
@@ -65,8 +63,16 @@ fn smooth_max(a: f64, b: f64, k: f64) -> f64 {
 #[derive(Debug, Clone)]
 enum Parts {
     /// `yoke`: heights between which the trunk's convex sections give way to the body's own shoulders.
-    Upper { arms: [Tube; 2], fillet: f64, yoke: (f64, f64) },
-    Lower { legs: [Tube; 2], crotch: f64, middle: f64 },
+    Upper {
+        arms: [Tube; 2],
+        fillet: f64,
+        yoke: (f64, f64),
+    },
+    Lower {
+        legs: [Tube; 2],
+        crotch: f64,
+        middle: f64,
+    },
 }
 
 /// Level function of one style on one body: negative inside the cloth [m].
@@ -265,7 +271,10 @@ impl<'a> Shape<'a> {
                 let s = arms[side].axes.along_of(p);
                 // The tube ends inside the trunk.
                 let arm = if s < -0.08 { 0.08 } else { smooth_max(arms[side].value(p), -0.02 - s, 0.02) };
-                smooth_min(trunk, arm, *fillet)
+                // The fillet fills the armpit; on the shoulder, where both agree, it would only stand off.
+                let down = arms[side].axes.origin.y - p.y;
+                let width = 0.008 + (*fillet - 0.008).max(0.0) * smooth_step(-0.02, 0.05, down);
+                smooth_min(trunk, arm, width)
             }
             Parts::Lower { legs, crotch, middle } => {
                 let side = usize::from((p.x >= *middle) != (legs[0].axes.origin.x >= *middle));

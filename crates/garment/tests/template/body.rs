@@ -20,10 +20,15 @@ impl Builder {
         let axis = (b - a).normalize();
         let side = axis.cross(&if axis.y.abs() > 0.9 { Vec3::z() } else { Vec3::y() }).normalize();
         let other = axis.cross(&side);
-        let mut rings: Vec<(Vec3, f64)> = (0..=6).map(|i| 0.5 * PI * f64::from(i) / 6.0).map(|t| (a - axis * radius * t.cos(), radius * t.sin())).collect();
+        let mut rings: Vec<(Vec3, f64)> = (0..=6)
+            .map(|i| 0.5 * PI * f64::from(i) / 6.0)
+            .map(|t| (a - axis * radius * t.cos(), radius * t.sin()))
+            .collect();
         let count = ((b - a).norm() / 0.03).ceil().max(1.0) as usize;
         rings.extend((1..count).map(|i| (a.lerp(&b, i as f64 / count as f64), radius)));
-        rings.extend((0..=6).map(|i| 0.5 * PI * f64::from(i) / 6.0).map(|t| (b + axis * radius * t.sin(), radius * t.cos())));
+        rings.extend(
+            (0..=6).map(|i| 0.5 * PI * f64::from(i) / 6.0).map(|t| (b + axis * radius * t.sin(), radius * t.cos())),
+        );
         let first = self.mesh.vertices.len() as u32;
         let middle = (a + b) * 0.5;
         for (centre, r) in &rings {
@@ -51,7 +56,7 @@ impl Builder {
 }
 
 /// A body of overlapping capsules, exactly mirror-symmetric in its joints.
-pub fn capsules() -> BodyRest {
+pub(crate) fn capsules() -> BodyRest {
     let mut joints = vec![Vec3::zeros(); SMPLX_JOINTS.len()];
     let places: [(&str, [f64; 3]); 14] = [
         ("pelvis", [0.0, 0.0, 0.0]),
@@ -94,7 +99,7 @@ pub fn capsules() -> BodyRest {
 }
 
 /// The Anny body of the shared data; `None`, said aloud, where it is missing.
-pub fn anny() -> Option<BodyRest> {
+pub(crate) fn anny() -> Option<BodyRest> {
     let shared = std::env::var_os("CAPHY_SHARED")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")), PathBuf::from);
     let path = shared.join("data/body/anny_smplx_layout.npz");

@@ -53,8 +53,7 @@ fn refinement_comes_nearer_to_the_style() {
     let truth = shirt(0.42, 0.55, 0.012, 0.3);
     let scan = vertices(&tailor.generate(&truth, 0.02).unwrap());
     let start = shirt(0.55, 0.45, 0.02, 0.4);
-    let found =
-        refine_style(&tailor, &start, 0.03, &scan, &ChooseOptions::default(), 40, |t| Ok(vertices(t))).unwrap();
+    let found = refine_style(&tailor, &start, 0.03, &scan, &ChooseOptions::default(), 40, |t| Ok(vertices(t))).unwrap();
     assert!(found.evaluations <= 40);
     assert_eq!(found.template.style, found.style);
     let off = |s: &caphy_garment::template::Style| {
@@ -79,7 +78,8 @@ fn posing_moves_vertices_with_the_body() {
     for (p, q) in t.mesh.vertices.iter().zip(&posed) {
         assert!((turn * p + shift - q).norm() < 1e-12);
     }
-    let rows = t.weights_body_vertex.iter().map(|&v| body.weights.row(v as usize).map(|(j, w)| (j as u16, w)).collect());
+    let rows =
+        t.weights_body_vertex.iter().map(|&v| body.weights.row(v as usize).map(|(j, w)| (j as u16, w)).collect());
     let own = caphy_core::body::BlendWeights::from_rows(rows);
     assert_eq!(pose_by_weights(&t.mesh.vertices, &own, &[rigid; 55]).unwrap(), posed);
     assert!(pose_by_nearest_vertex(&t, &body.weights, &[rigid; 3]).is_err());
@@ -91,11 +91,11 @@ fn a_choice_without_points_or_candidates_is_refused() {
     let options = ChooseOptions::default();
     let points = vec![Vec3::zeros()];
     assert!(choose_template(&[], &points, &options).unwrap_err().to_string().contains("no candidates"));
-    let text = choose_template(&[points.clone()], &[], &options).unwrap_err().to_string();
+    let text = choose_template(std::slice::from_ref(&points), &[], &options).unwrap_err().to_string();
     assert!(text.contains("segmentation"), "{text}");
     let nan = vec![Vec3::repeat(f64::NAN)];
-    assert!(matches!(choose_template(&[nan.clone()], &points, &options), Err(Error::NonFinite { .. })));
-    assert!(matches!(choose_template(&[points.clone()], &nan, &options), Err(Error::NonFinite { .. })));
+    assert!(matches!(choose_template(std::slice::from_ref(&nan), &points, &options), Err(Error::NonFinite { .. })));
+    assert!(matches!(choose_template(std::slice::from_ref(&points), &nan, &options), Err(Error::NonFinite { .. })));
     let empty = choose_template(&[Vec::new(), points.clone()], &points, &options).unwrap();
     assert_eq!(empty.index, 1);
     assert!(empty.report[0].squared.is_infinite());

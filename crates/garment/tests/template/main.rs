@@ -121,9 +121,15 @@ fn winding(p: &Vec3, mesh: &TriMesh) -> f64 {
 fn check_clearance(t: &Template, body: &BodyRest) {
     let triangles: Vec<[Vec3; 3]> = (0..body.mesh.faces.len()).map(|f| body.mesh.corners(f)).collect();
     let centres: Vec<Vec3> = triangles.iter().map(|t| (t[0] + t[1] + t[2]) / 3.0).collect();
-    let longest = triangles.iter().flat_map(|t| [t[0] - t[1], t[1] - t[2], t[2] - t[0]]).map(|e| e.norm()).fold(0.0, f64::max);
+    let longest =
+        triangles.iter().flat_map(|t| [t[0] - t[1], t[1] - t[2], t[2] - t[0]]).map(|e| e.norm()).fold(0.0, f64::max);
     let grid = NearestGrid::from_points(&centres);
-    let samples = t.mesh.vertices.iter().copied().chain((0..t.mesh.faces.len()).map(|f| t.mesh.corners(f).iter().sum::<Vec3>() / 3.0));
+    let samples = t
+        .mesh
+        .vertices
+        .iter()
+        .copied()
+        .chain((0..t.mesh.faces.len()).map(|f| t.mesh.corners(f).iter().sum::<Vec3>() / 3.0));
     let (mut least, mut deepest) = (f64::INFINITY, Vec3::zeros());
     for p in samples {
         // Only triangles whose centre could be near enough can violate the bound.
@@ -152,7 +158,12 @@ fn check_grain(t: &Template, body: &BodyRest) {
     assert_eq!(t.material_uv.len(), t.mesh.faces.len());
     let (mut along, mut total) = (0.0, 0.0);
     let areas = t.mesh.face_areas();
-    let normals: Vec<Vec3> = (0..areas.len()).map(|f| { let [a, b, c] = t.mesh.corners(f); (b - a).cross(&(c - a)).normalize() }).collect();
+    let normals: Vec<Vec3> = (0..areas.len())
+        .map(|f| {
+            let [a, b, c] = t.mesh.corners(f);
+            (b - a).cross(&(c - a)).normalize()
+        })
+        .collect();
     for (f, uv) in t.material_uv.iter().enumerate() {
         let p = t.mesh.corners(f);
         for k in 0..3 {
@@ -160,7 +171,8 @@ fn check_grain(t: &Template, body: &BodyRest) {
             let flat = ((uv[i][0] - uv[j][0]).powi(2) + (uv[i][1] - uv[j][1]).powi(2)).sqrt();
             assert!((flat - (p[i] - p[j]).norm()).abs() < 1e-12);
         }
-        let signed = 0.5 * ((uv[1][0] - uv[0][0]) * (uv[2][1] - uv[0][1]) - (uv[2][0] - uv[0][0]) * (uv[1][1] - uv[0][1]));
+        let signed =
+            0.5 * ((uv[1][0] - uv[0][0]) * (uv[2][1] - uv[0][1]) - (uv[2][0] - uv[0][0]) * (uv[1][1] - uv[0][1]));
         assert!((signed - areas[f]).abs() < 1e-12, "face {f} is turned over");
         // Far down the limbs the grain is the limb's axis.
         let centre = (p[0] + p[1] + p[2]) / 3.0;
@@ -249,7 +261,8 @@ fn left_and_right_are_alike() {
         let t = tailor.generate(&style, 0.025).unwrap();
         let grid = NearestGrid::from_points(&t.mesh.vertices);
         let mirrored = |p: &Vec3| Vec3::new(-p.x, p.y, p.z);
-        let worst = t.mesh.vertices.iter().map(|p| grid.nearest_point(&mirrored(p)).unwrap().1.sqrt()).fold(0.0, f64::max);
+        let worst =
+            t.mesh.vertices.iter().map(|p| grid.nearest_point(&mirrored(p)).unwrap().1.sqrt()).fold(0.0, f64::max);
         // Any point of an even mesh has a vertex within an edge length.
         assert!(worst < 0.025, "{worst}");
         let g = t.girths();
