@@ -6,7 +6,8 @@ use caphy_core::array::{In, Out};
 use caphy_core::lanes::Frames;
 use caphy_core::net::{DeformationNet, ForwardBlock, ForwardCall, NetSpec};
 use caphy_core::query::NearestGrid;
-use caphy_core::{Error, Result, Vec3};
+use caphy_core::{Error, Real, Result, TriMesh, Vec3};
+use caphy_garment::contact::ContactMap;
 use caphy_garment::skinning::Skinner;
 
 /// How frames follow each other.
@@ -81,37 +82,48 @@ fn displacement(
     Ok(displacement)
 }
 
-/// A surface that garments must stay outside of.
-pub struct Obstacle<'a> {
-    /// Points [m].
-    pub points: &'a [Vec3],
-    /// Outward unit normals.
-    pub normals: &'a [Vec3],
-}
-
-/// Signed distance of each point to the nearest obstacle vertex's tangent plane [m], negative inside; infinite without
-/// obstacle.
-pub fn clearance(points: &[Vec3], obstacle: &Obstacle<'_>) -> Vec<f64> {
-    let grid = NearestGrid::from_points(obstacle.points);
-    points
-        .iter()
-        .map(|p| match grid.nearest_point(p) {
-            Some((id, _)) => obstacle.normals[id as usize].dot(&(p - obstacle.points[id as usize])),
-            None => f64::INFINITY,
+/// Where each garment vertex would touch the body: point [m] and outward normal of its nearest candidate in one frame of a
+/// track.
+pub fn contacts(map: &ContactMap, track: &BodyTrack, frame: usize, garment: &[Vec3]) -> Result<Vec<(Vec3, Vec3)>> {
+    let mut positions = Frames::<f64>::zeros(1, garment.len(), 1);
+    positions.set_frame(0, 0, garment)?;
+    let (body, normals) = track.gather::<f64>(&[frame], 1);
+    let nearest = map.nearest(&positions, &body)?;
+    Ok((0..garment.len())
+        .map(|v| {
+            let id = nearest[v * <f64 as Real>::LANES] as usize;
+            (body.get(0, 0, id), normals.get(0, 0, id))
         })
-        .collect()
+        .collect())
 }
 
-/// Moves points that are closer to the obstacle than `gap` [m] out along its normal (SNUG's post-process).
-pub fn push_out(points: &mut [Vec3], obstacle: &Obstacle<'_>, gap: f64) {
-    let grid = NearestGrid::from_points(obstacle.points);
-    for p in points {
-        if let Some((id, _)) = grid.nearest_point(p) {
-            let normal = obstacle.normals[id as usize];
-            let distance = normal.dot(&(*p - obstacle.points[id as usize]));
-            if distance < gap {
-                *p += normal * (gap - distance);
-            }
+/// Signed distance of each vertex to the tangent plane where it would touch [m], negative inside.
+pub fn clearance(garment: &[Vec3], contacts: &[(Vec3, Vec3)]) -> Vec<f64> {
+    garment.iter().zip(contacts).map(|(p, (at, normal))| normal.dot(&(p - at))).collect()
+}
+
+/// Moves vertices that are closer than `gap` [m] out along the normal (SNUG's post-process).
+pub fn push_out(garment: &mut [Vec3], contacts: &[(Vec3, Vec3)], gap: f64) {
+    for (p, (at, normal)) in garment.iter_mut().zip(contacts) {
+        let distance = normal.dot(&(*p - at));
+        if distance < gap {
+            *p += normal * (gap - distance);
+        }
+    }
+}
+
+/// Moves vertices of the outer garment that lie beneath the inner one, or closer above it than `gap` [m], out of it. Only within
+/// `reach` [m], and only beside a vertex of the inner garment, not beyond its border.
+pub fn push_layers(outer: &mut [Vec3], inner: &TriMesh, gap: f64, reach: f64) {
+    let normals = inner.vertex_normals();
+    let grid = NearestGrid::from_points(&inner.vertices);
+    let beside = inner.mean_edge_length();
+    for p in outer {
+        let Some((id, square)) = grid.nearest_within(&[p.x, p.y, p.z], reach * reach) else { continue };
+        let normal = normals[id as usize];
+        let distance = normal.dot(&(*p - inner.vertices[id as usize]));
+        if distance < gap && square - distance * distance < beside * beside {
+            *p += normal * (gap - distance);
         }
     }
 }
@@ -122,11 +134,10 @@ mod tests {
 
     #[test]
     fn pushing_out_leaves_a_gap_and_nothing_else_moves() {
-        let (points, normals) = ([Vec3::zeros()], [Vec3::y()]);
-        let obstacle = Obstacle { points: &points, normals: &normals };
+        let contacts = [(Vec3::zeros(), Vec3::y()); 2];
         let mut cloth = [Vec3::new(0.001, -0.01, 0.0), Vec3::new(0.0, 0.05, 0.0)];
-        push_out(&mut cloth, &obstacle, 0.002);
+        push_out(&mut cloth, &contacts, 0.002);
         assert!((cloth[0].y - 0.002).abs() < 1e-15 && cloth[1].y == 0.05);
-        assert!(clearance(&cloth, &obstacle).iter().all(|&d| d > 0.0019));
+        assert!(clearance(&cloth, &contacts).iter().all(|&d| d > 0.0019));
     }
 }

@@ -136,9 +136,9 @@ impl Run {
         Ok(Summary { folder: self.folder, ran: self.ran, table: scores.table() })
     }
 
-    fn context<'a>(&'a self, key: &'a str, progress: &'a Progress) -> Context<'a> {
+    fn context<'a>(&'a self, stage: &'a str, key: &'a str, progress: &'a Progress) -> Context<'a> {
         let (config, files, folder, timings) = (&self.config, &self.files, &self.folder, &self.timings);
-        Context { config, files, folder, key, progress, timings }
+        Context { config, files, folder, stage, key, progress, timings }
     }
 
     fn timings(&self) -> BTreeMap<String, f64> {
@@ -170,10 +170,10 @@ impl Run {
             return Ok((value, content));
         }
         let progress = Progress::start(name);
-        let value = run(&self.context(&key, &progress))?;
+        let value = run(&self.context(name, &key, &progress))?;
         let content = artifact::save(&path, name, &key, &value)?;
         let seconds = progress.finish();
-        self.context(&key, &progress).time(name, seconds);
+        self.context(name, &key, &progress).time(name, seconds);
         let timings = serde_json::to_vec_pretty(&self.timings())
             .map_err(|e| Error::config(name, e.to_string(), "report this as a defect"))?;
         artifact::write_atomically(&self.folder.join("timings.json"), &timings)?;

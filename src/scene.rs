@@ -11,6 +11,7 @@ use caphy_core::pose::Pose;
 use caphy_core::query::NearestGrid;
 use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3};
+use caphy_garment::contact::ContactMap;
 use caphy_garment::energy::ScanCloud;
 use caphy_garment::template::GarmentKind;
 use std::sync::Arc;
@@ -48,6 +49,10 @@ impl Scene {
     /// The body in given poses.
     pub fn track(&self, poses: &[Pose]) -> Result<BodyTrack> {
         BodyTrack::new(&*self.body, &self.subject, &self.reach, poses)
+    }
+    /// What each vertex of a garment can touch, for frames of [`Scene::track`].
+    pub fn contact(&self, garment: &FittedGarment) -> Result<ContactMap> {
+        self.reach.contact(&self.rest, garment)
     }
     /// The configured motion.
     pub fn motion(&self, context: &Context<'_>) -> Result<MotionFrames> {

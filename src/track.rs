@@ -1,12 +1,17 @@
 //! Posed bodies of many frames, kept: training visits every frame of its motion again and again.
 
+use crate::garment::FittedGarment;
 use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_core::lanes::Frames;
 use caphy_core::pose::Pose;
 use caphy_core::{Error, Real, Result, TriMesh, Vec3};
+use caphy_garment::contact::ContactMap;
 use caphy_garment::energy::frame_normals;
 use nalgebra::Matrix3x4;
 use rayon::prelude::*;
+
+/// How far from a garment's own region skin can be and still touch it [m]: loose cloth slides by a few centimetres.
+const TOUCH: f64 = 0.08;
 
 /// The part of a body that garments can reach.
 #[derive(Debug, Clone)]
@@ -37,6 +42,11 @@ impl Reach {
             ));
         }
         Ok(Reach { vertices, faces: mesh.faces })
+    }
+    /// What each vertex of a garment can touch of the T-posed body, in the numbering of a [`BodyTrack`].
+    pub fn contact(&self, rest: &TriMesh, garment: &FittedGarment) -> Result<ContactMap> {
+        let body: Vec<Vec3> = self.vertices.iter().map(|&v| rest.vertices[v as usize]).collect();
+        ContactMap::new(&garment.mesh.vertices, &garment.weights, &body, TOUCH)
     }
 }
 

@@ -11,8 +11,9 @@ use caphy_core::body::BodyDescription;
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialModel;
 use caphy_core::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock, ForwardCall, NetSpec};
-use caphy_core::{Error, Result};
+use caphy_core::{Error, Real, Result};
 use caphy_garment::GarmentRest;
+use caphy_garment::contact::ContactMap;
 use caphy_garment::energy::{BodyState, Chamfer, EnergyTerm, ScanCloud, State};
 use caphy_garment::features::{FeatureOptions, PoseFeatures, moving_joints};
 use caphy_garment::skinning::{JointFrames, Skinner};
@@ -104,6 +105,8 @@ pub struct GarmentLearner<'a> {
     scan_features: Vec<Vec<f32>>,
     motion: &'a MotionFrames,
     scans: &'a ScanFrames,
+    contact: ContactMap,
+    frame_clip: f64,
     output_scale: f32,
     /// Flat parameters of the net.
     pub parameters: Vec<f32>,
@@ -179,6 +182,7 @@ impl<'a> GarmentLearner<'a> {
         config: &TrainConfig,
         motion: &'a MotionFrames,
         scans: &'a ScanFrames,
+        contact: ContactMap,
     ) -> Result<GarmentLearner<'a>> {
         let rest = garment.rest(&*material)?;
         let physics = Physics::new(&rest, material, &config.contact, motion.fps, &config.weights)?;
@@ -216,6 +220,8 @@ impl<'a> GarmentLearner<'a> {
             scan_features,
             motion,
             scans,
+            contact,
+            frame_clip: config.frame_clip,
             output_scale: trained.output_scale_m as f32,
             parameters: trained.parameters.clone(),
             gradient: vec![0.0; n],
@@ -259,8 +265,9 @@ impl<'a> GarmentLearner<'a> {
         let mut targets = Frames::zeros(steps, self.held.vertex_count(), windows);
         self.held.forward(&held_joints, None, &mut targets)?;
         let (body, normals) = track.gather::<f32>(&batch.frames, windows);
+        let nearest = self.contact.nearest(&positions, &body)?;
         let state = State::new(&positions)
-            .with_body(BodyState { positions: &body, normals: &normals, nearest: None })
+            .with_body(BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) })
             .with_targets(&targets);
         let mut gradient = Frames::zeros(steps, self.skinner.vertex_count(), windows);
         let scale = 1.0 / (steps * windows) as f64;
@@ -274,6 +281,9 @@ impl<'a> GarmentLearner<'a> {
                 self.chamfer.add(&state, self.scan_weight * scale, &mut squared, Some(&mut gradient))?;
             }
             energies.push(("scan", squared.iter().sum::<f64>()));
+        }
+        if self.frame_clip > 0.0 {
+            limit_frames(&mut gradient, self.frame_clip);
         }
         Ok(Pass { positions, gradient, energies, features: inputs, joints, tape, steps, windows })
     }
@@ -341,6 +351,40 @@ impl<'a> GarmentLearner<'a> {
     }
 }
 
+/// Shortens the gradient of each frame to at most `factor` times the median length over the batch. Frames whose gradient is not
+/// finite are left for the optimiser to refuse.
+fn limit_frames(gradient: &mut Frames<f32>, factor: f64) {
+    let lanes = gradient.lanes_used();
+    let width = <f32 as Real>::LANES;
+    let mut lengths = vec![0.0f64; gradient.blocks() * width];
+    for block in 0..gradient.blocks() {
+        let sums = &mut lengths[block * width..(block + 1) * width];
+        for row in gradient.block(block).chunks_exact(width) {
+            for (sum, g) in sums.iter_mut().zip(row) {
+                *sum += f64::from(*g) * f64::from(*g);
+            }
+        }
+    }
+    let mut sorted: Vec<f64> =
+        lengths.chunks(width).flat_map(|block| block[..lanes].iter().map(|s| s.sqrt())).collect();
+    sorted.sort_by(f64::total_cmp);
+    let most = factor * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+    for block in 0..gradient.blocks() {
+        let factors: Vec<f32> = lengths[block * width..(block + 1) * width]
+            .iter()
+            .map(|s| if s.sqrt() > most && most > 0.0 { (most / s.sqrt()) as f32 } else { 1.0 })
+            .collect();
+        if factors.iter().all(|f| *f == 1.0) {
+            continue;
+        }
+        for row in gradient.block_mut(block).chunks_exact_mut(width) {
+            for (g, f) in row.iter_mut().zip(&factors) {
+                *g *= f;
+            }
+        }
+    }
+}
+
 /// Net and optimiser at some step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LearnerState {
@@ -369,4 +413,29 @@ pub fn learning_rate(config: &TrainConfig, first: f64, share: f64) -> f64 {
     let rise = (share / RISE).min(1.0).max(0.05);
     let cosine = 0.5 * (1.0 + (std::f64::consts::PI * share.clamp(0.0, 1.0)).cos());
     first * rise * (config.final_rate + (1.0 - config.final_rate) * cosine)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use caphy_core::Vec3;
+
+    #[test]
+    fn one_wild_frame_is_shortened_and_the_others_stay() {
+        let mut gradient = Frames::<f32>::zeros(1, 2, 5);
+        for lane in 0..5 {
+            let size = if lane == 3 { 1000.0 } else { 1.0 + 0.1 * lane as f64 };
+            gradient.set(0, lane, 0, &Vec3::new(size, 0.0, 0.0));
+        }
+        limit_frames(&mut gradient, 3.0);
+        assert!((gradient.get(0, 3, 0).x - 3.0 * 1.2).abs() < 1e-5, "{}", gradient.get(0, 3, 0).x);
+        assert_eq!(gradient.get(0, 1, 0).x, f64::from(1.1f32));
+    }
+
+    #[test]
+    fn the_learning_rate_rises_then_falls_to_its_share() {
+        let config = TrainConfig::default();
+        assert!(learning_rate(&config, 1.0, 0.0) < learning_rate(&config, 1.0, 0.01));
+        assert!((learning_rate(&config, 1.0, 1.0) - config.final_rate).abs() < 1e-12);
+    }
 }

@@ -3,12 +3,13 @@
 use super::preprocess::Subject;
 use super::train::Nets;
 use super::{Context, StageOutput};
-use crate::inference::{Obstacle, Play, clearance, play, push_out};
+use crate::inference::{Play, clearance, contacts, play, push_layers, push_out};
 use crate::motion;
 use crate::pictures;
 use crate::scene::Scene;
 use caphy_core::motion::MotionClip;
-use caphy_core::{Result, TriMesh, Vec3, mesh};
+use caphy_core::{Result, TriMesh, Vec3};
+use caphy_garment::energy::LayeringOrder;
 use caphy_garment::template::GarmentKind;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -67,24 +68,35 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Fi
     for (fitted, trained) in subject.garments.iter().zip(&avatar.garments) {
         played.push(play(fitted, trained, &*context.config.net, &track, Play::Clip)?);
     }
+    let maps = subject.garments.iter().map(|g| scene.contact(g)).collect::<Result<Vec<_>>>()?;
     let mut depth = vec![(0usize, 0.0f64); played.len()];
     let limit = context.config.evaluate.penetration_m;
     let mut bodies = Vec::new();
     for frame in 0..clip.poses.len() {
         context.progress.set(0.7 * frame as f64 / clip.poses.len() as f64, "frames");
         let posed = scene.body.forward(&scene.subject.posed(&clip.poses[frame]))?;
-        let normals = mesh::vertex_normals(&posed.vertices, &scene.rest.faces);
-        let obstacle = Obstacle { points: &posed.vertices, normals: &normals };
-        for (frames, depth) in played.iter_mut().zip(&mut depth) {
-            for d in clearance(&frames[frame], &obstacle) {
+        for ((frames, depth), map) in played.iter_mut().zip(&mut depth).zip(&maps) {
+            let touching = contacts(map, &track, frame, &frames[frame])?;
+            for d in clearance(&frames[frame], &touching) {
                 depth.0 += usize::from(d < -limit);
                 depth.1 = depth.1.min(d);
             }
             if config.push_out_m > 0.0 {
-                push_out(&mut frames[frame], &obstacle, config.push_out_m);
+                push_out(&mut frames[frame], &touching, config.push_out_m);
             }
         }
         bodies.push(posed.vertices);
+        if config.push_out_m > 0.0
+            && let [upper, lower] = &mut played[..]
+        {
+            let layering = &context.config.finetune.layering;
+            let (outer, inner, worn) = match layering.order {
+                LayeringOrder::Over => (upper, lower, 1),
+                LayeringOrder::Tucked => (lower, upper, 0),
+            };
+            let under = TriMesh { vertices: inner[frame].clone(), faces: subject.garments[worn].mesh.faces.clone() };
+            push_layers(&mut outer[frame], &under, config.push_out_m, layering.reach);
+        }
     }
     let picture = |frame: usize, from: &Vec3| {
         let body = TriMesh { vertices: bodies[frame].clone(), faces: scene.rest.faces.clone() };

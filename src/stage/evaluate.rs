@@ -4,7 +4,7 @@ use super::optimise::Estimates;
 use super::preprocess::{Subject, SubjectScan};
 use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
-use crate::inference::{Obstacle, Play, clearance, play};
+use crate::inference::{Play, clearance, contacts, play};
 use crate::physics::{Dynamics, Physics};
 use crate::scene::{Scene, label_of, scan_frames};
 use crate::track::BodyTrack;
@@ -12,7 +12,7 @@ use caphy_core::files::Files;
 use caphy_core::lanes::Frames;
 use caphy_core::pose::SMPLX_JOINTS;
 use caphy_core::query::NearestGrid;
-use caphy_core::{Error, Result, Vec3, mesh};
+use caphy_core::{Error, Result, TriMesh, Vec3, mesh};
 use caphy_formats::npz::Npz;
 use caphy_garment::energy::{BodyState, State};
 use caphy_garment::estimate::reduction;
@@ -56,14 +56,17 @@ pub struct ScanScore {
 pub struct GarmentScore {
     /// Upper or lower.
     pub kind: GarmentKind,
-    /// Mean distance from scan points to the nearest garment vertex [mm], not squared.
+    /// Mean distance from scan points to the garment's surface [mm], not squared.
     pub scan_to_garment_mm: f64,
     /// Mean distance from visible garment vertices to the nearest scan point [mm], not squared.
     pub garment_to_scan_mm: f64,
-    /// Sum of both means of *squared* distances (Eq. 9) [mm²].
+    /// Eq. 9: sum of both means of *squared* distances between points and vertices [mm²]; the template's edge length sets its
+    /// floor.
     pub chamfer_mm2: f64,
     /// [`GarmentScore::scan_to_garment_mm`] of the skinned template, without the net.
     pub skinned_scan_to_garment_mm: f64,
+    /// [`GarmentScore::garment_to_scan_mm`] of the skinned template [mm].
+    pub skinned_garment_to_scan_mm: f64,
     /// Share of vertices deeper inside the body than the configured limit.
     pub penetrating: f64,
     /// Deepest vertex [mm], 0 when none is inside.
@@ -87,8 +90,8 @@ impl Scores {
     /// The table as text.
     pub fn table(&self) -> String {
         let mut out = String::from(
-            "scan               garment  scan→garment  garment→scan  skinned only  inside body  strain+bending\n\
-             \u{20}                           mm            mm            mm            %            J\n",
+            "Mean distances in mm (not squared); in brackets the skinned template without the net.\n\
+             scan                  garment  scan→surface     vertices→scan    inside body  strain+bending\n",
         );
         for scan in &self.scans {
             for g in &scan.garments {
@@ -96,13 +99,15 @@ impl Scores {
                 // Writing to a String cannot fail.
                 let _ = writeln!(
                     out,
-                    "{name:<18} {:<8} {:<13.2} {:<13.2} {:<13.2} {:<12.2} {:.4}",
+                    "{name:<21} {:<8} {:<6.2} {:<9} {:<6.2} {:<9} {:>6.2} %     {:.4} J ({:.4})",
                     g.kind.to_string(),
                     g.scan_to_garment_mm,
+                    format!("({:.2})", g.skinned_scan_to_garment_mm),
                     g.garment_to_scan_mm,
-                    g.skinned_scan_to_garment_mm,
+                    format!("({:.2})", g.skinned_garment_to_scan_mm),
                     100.0 * g.penetrating,
-                    g.elastic_j
+                    g.elastic_j,
+                    g.skinned_elastic_j
                 );
             }
         }
@@ -169,24 +174,23 @@ pub fn run(
         let model = Arc::from(material(table, config_key(fitted.kind), trained.material.as_deref())?);
         let rest = fitted.rest(&*model)?;
         let train = &context.config.train;
+        let map = scene.contact(fitted)?;
         let physics = Physics::<f64>::new(&rest, model, &train.contact, trained.fps, &train.weights)?;
         for (i, scan) in subject.scans.iter().enumerate() {
             context.progress.set(i as f64 / subject.scans.len() as f64, &scan.name);
             let skinned = pose_by_weights(&fitted.mesh.vertices, &fitted.weights, &track.transforms[i])?;
-            let posed = scene.body.forward(&scene.subject.posed(&scan.pose))?;
-            let normals = mesh::vertex_normals(&posed.vertices, &scene.rest.faces);
-            let obstacle = Obstacle { points: &posed.vertices, normals: &normals };
-            let inside = clearance(&shapes[i], &obstacle);
+            let inside = clearance(&shapes[i], &contacts(&map, &track, i, &shapes[i])?);
             let limit = context.config.evaluate.penetration_m;
             let deep = inside.iter().filter(|&&d| d < -limit).count();
-            let [there, back, squared] = chamfer(scan, fitted.kind, &shapes[i], &visible)?;
-            let [skinned_there, ..] = chamfer(scan, fitted.kind, &skinned, &visible)?;
+            let measured = distances(scan, fitted, &shapes[i], &visible)?;
+            let without_net = distances(scan, fitted, &skinned, &visible)?;
             rows[i].garments.push(GarmentScore {
                 kind: fitted.kind,
-                scan_to_garment_mm: there * 1e3,
-                garment_to_scan_mm: back * 1e3,
-                chamfer_mm2: squared * 1e6,
-                skinned_scan_to_garment_mm: skinned_there * 1e3,
+                scan_to_garment_mm: measured.scan_to_garment * 1e3,
+                garment_to_scan_mm: measured.garment_to_scan * 1e3,
+                chamfer_mm2: measured.chamfer * 1e6,
+                skinned_scan_to_garment_mm: without_net.scan_to_garment * 1e3,
+                skinned_garment_to_scan_mm: without_net.garment_to_scan * 1e3,
                 penetrating: deep as f64 / inside.len().max(1) as f64,
                 deepest_mm: -1e3 * inside.iter().copied().fold(0.0, f64::min),
                 elastic_j: elastic(&physics, fitted, &track, i, &shapes[i])?,
@@ -198,8 +202,26 @@ pub fn run(
     Ok(Scores { scans: rows, layering, fabrics: fabric_scores(context, subject, fabrics, scans)? })
 }
 
-/// Mean distances scan to garment and garment to scan [m], and Eq. 9 [m²].
-fn chamfer(scan: &SubjectScan, kind: GarmentKind, garment: &[Vec3], visible: &[bool]) -> Result<[f64; 3]> {
+/// Distances between a posed garment and a scan's points of it.
+struct Distances {
+    /// Mean distance of scan points to the garment's surface [m].
+    scan_to_garment: f64,
+    /// Mean distance of visible garment vertices to the scan's points [m].
+    garment_to_scan: f64,
+    /// Eq. 9 between scan points and garment vertices [m²].
+    chamfer: f64,
+}
+
+/// Times that triangles are split for distances to a surface: points are then an eighth of an edge apart.
+const SPLITS: usize = 3;
+
+fn distances(
+    scan: &SubjectScan,
+    fitted: &crate::garment::FittedGarment,
+    garment: &[Vec3],
+    visible: &[bool],
+) -> Result<Distances> {
+    let kind = fitted.kind;
     let (points, _) = scan.points.with_label(label_of(kind));
     let seen: Vec<Vec3> = garment.iter().zip(visible).filter(|(_, v)| **v).map(|(p, _)| *p).collect();
     if points.is_empty() || seen.is_empty() {
@@ -209,15 +231,21 @@ fn chamfer(scan: &SubjectScan, kind: GarmentKind, garment: &[Vec3], visible: &[b
             "look at the labels in the report, or leave the scan out",
         ));
     }
+    let mut surface = TriMesh { vertices: garment.to_vec(), faces: fitted.mesh.faces.clone() };
+    for _ in 0..SPLITS {
+        surface = surface.subdivided();
+    }
+    // Mean distance and mean squared distance.
     let mean = |from: &[Vec3], to: &[Vec3]| {
         let grid = NearestGrid::from_points(to);
         let squares: Vec<f64> = from.iter().filter_map(|p| grid.nearest_point(p)).map(|(_, d)| d).collect();
         let n = squares.len().max(1) as f64;
         (squares.iter().map(|d| d.sqrt()).sum::<f64>() / n, squares.iter().sum::<f64>() / n)
     };
-    let (there, there2) = mean(&points, &seen);
-    let (back, back2) = mean(&seen, &points);
-    Ok([there, back, there2 + back2])
+    let (scan_to_garment, _) = mean(&points, &surface.vertices);
+    let (_, there) = mean(&points, &seen);
+    let (garment_to_scan, back) = mean(&seen, &points);
+    Ok(Distances { scan_to_garment, garment_to_scan, chamfer: there + back })
 }
 
 /// Strain plus bending energy [J] of one shape.

@@ -32,6 +32,8 @@ pub struct Context<'a> {
     pub files: &'a ProjectFiles,
     /// The run directory.
     pub folder: &'a Path,
+    /// Name of the stage.
+    pub stage: &'a str,
     /// Key of the stage's artifact: checkpoints of another key are not continued.
     pub key: &'a str,
     /// Where the stage says how far it is.

@@ -9,7 +9,7 @@ use crate::scene::Scene;
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialModel;
 use caphy_core::{Error, Real, Result};
-use caphy_garment::energy::{BodyState, State, nearest_body_vertices};
+use caphy_garment::energy::{BodyState, State};
 use caphy_garment::estimate::{FabricEstimate, force_balance};
 use caphy_garment::skinning::Skinner;
 use caphy_garment::template::GarmentKind;
@@ -57,7 +57,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets) -> Result<Esti
             positions.set_frame(frame / lanes, frame % lanes, shape)?;
         }
         let (body, normals) = track.gather::<f64>(&frames, lanes);
-        let nearest = nearest_body_vertices(&positions, &body)?;
+        let nearest = scene.contact(fitted)?.nearest(&positions, &body)?;
         let table = subject.material_table(context.config, fitted.kind);
         let start = material(table, config_key(fitted.kind), trained.material.as_deref())?;
         let start: Arc<dyn MaterialModel> = Arc::from(start);

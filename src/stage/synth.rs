@@ -15,7 +15,8 @@ use caphy_core::pose::Pose;
 use caphy_core::scan::{Label, Scan};
 use caphy_core::segmenter::NO_TRIANGLE;
 use caphy_core::{Real, Result, TriMesh, Vec3, mesh};
-use caphy_garment::energy::{BodyState, ContactOptions, State, frame_normals, nearest_body_vertices};
+use caphy_garment::contact::ContactMap;
+use caphy_garment::energy::{BodyState, ContactOptions, State, frame_normals};
 use caphy_garment::relax::{RelaxReport, RelaxSettings, relax};
 use caphy_garment::skinning::{Skinner, WeightOptions, garment_weights};
 use caphy_garment::template::{BodyRest, GarmentKind, Style, Tailor, Template};
@@ -23,7 +24,6 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
 use std::sync::Arc;
 
 /// What is known about a synthetic subject.
@@ -99,7 +99,8 @@ pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
         let say = |s: f64| {
             context.progress.set(0.4 * at_rest.len() as f64 + 0.4 * s, &format!("{} comes to rest", template.kind))
         };
-        let (shapes, report) = drape(&worn, material.clone(), &track, under, &say)?;
+        let contact = reach.contact(&rest_mesh, &worn)?;
+        let (shapes, report) = drape(&worn, material.clone(), &track, contact, under, &say)?;
         let still = report.at_rest.iter().filter(|&&r| r).count();
         context.progress.note(&format!(
             "{}: {} vertices, {still} of {} poses at rest after {} iterations",
@@ -123,7 +124,7 @@ pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
         let mut parts = vec![(skin, Label::Body)];
         for (index, shapes, ..) in &at_rest {
             let worn = TriMesh { vertices: shapes[i].clone(), faces: templates[*index].mesh.faces.clone() };
-            parts.push((subdivided(&worn), label_of(templates[*index].kind)));
+            parts.push((worn.subdivided(), label_of(templates[*index].kind)));
         }
         let name = format!("scan-{i:02}");
         let mut noise = ChaCha8Rng::seed_from_u64(seed);
@@ -168,6 +169,7 @@ pub fn drape(
     garment: &FittedGarment,
     material: Arc<dyn MaterialModel>,
     track: &BodyTrack,
+    mut contact: ContactMap,
     under: Option<(&[[u32; 3]], &[Vec<Vec3>])>,
     progress: &dyn Fn(f64),
 ) -> Result<(Vec<Vec<Vec3>>, RelaxReport)> {
@@ -193,6 +195,7 @@ pub fn drape(
             other.set_frame(slot / lanes, slot % lanes, &shapes[id])?;
         }
         let other_normals = frame_normals(&other, faces)?;
+        contact = contact.with_obstacle(other.vertices());
         body = joined(&body, &other);
         normals = joined(&normals, &other_normals);
     }
@@ -200,7 +203,7 @@ pub fn drape(
     let mut evaluations = 0;
     let gradient = |x: &Frames<f64>, g: &mut Frames<f64>| -> Result<()> {
         if evaluations % CONTACT_REFRESH == 0 {
-            nearest = nearest_body_vertices(x, &body)?;
+            nearest = contact.nearest(x, &body)?;
         }
         evaluations += 1;
         g.clear();
@@ -226,24 +229,6 @@ fn joined(a: &Frames<f64>, b: &Frames<f64>) -> Frames<f64> {
         back.copy_from_slice(b.block(block));
     }
     out
-}
-
-/// Every triangle split into four at its edge midpoints.
-fn subdivided(mesh: &TriMesh) -> TriMesh {
-    let mut vertices = mesh.vertices.clone();
-    let mut middle: HashMap<[u32; 2], u32> = HashMap::new();
-    let mut faces = Vec::with_capacity(4 * mesh.faces.len());
-    for &[a, b, c] in &mesh.faces {
-        let mut mid = |p: u32, q: u32| {
-            *middle.entry([p.min(q), p.max(q)]).or_insert_with(|| {
-                vertices.push((mesh.vertices[p as usize] + mesh.vertices[q as usize]) * 0.5);
-                vertices.len() as u32 - 1
-            })
-        };
-        let (ab, bc, ca) = (mid(a, b), mid(b, c), mid(c, a));
-        faces.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
-    }
-    TriMesh { vertices, faces }
 }
 
 /// What cameras all around see of the parts: one mesh with noise, colours and labels.

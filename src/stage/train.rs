@@ -105,13 +105,17 @@ pub fn run(context: &Context<'_>, subject: &Subject, start: &Start) -> Result<Ne
         let table = subject.material_table(context.config, fitted.kind);
         let fabric = start.fabrics.get(index).cloned().flatten().or_else(|| first.material.clone());
         let model: Arc<_> = Arc::from(material(table, config_key(fitted.kind), fabric.as_deref())?);
-        let mut learner = GarmentLearner::new(fitted, &first, model, &*context.config.net, config, &motion, &scans)?;
+        let mut learner = {
+            let contact = scene.contact(fitted)?;
+            GarmentLearner::new(fitted, &first, model, &*context.config.net, config, &motion, &scans, contact)?
+        };
         let batches = plan(context, &motion, scans.clouds.len(), start.rounds, seed);
         let name = fitted.kind.to_string();
         let share = |s: f64| (index as f64 + s) / count as f64;
         let (curve, step_ms) = learn(context, &mut learner, &batches, &name, &|s, text| {
             context.progress.set(share(s), text);
         })?;
+        write_metrics(context, &name, &curve)?;
         nets.garments.push(TrainedGarment {
             parameters: learner.parameters.clone(),
             material: fabric,
@@ -124,6 +128,18 @@ pub fn run(context: &Context<'_>, subject: &Subject, start: &Start) -> Result<Ne
         context.progress.note(&format!("{name}: {step_ms:.1} ms per step of {} windows", config.batch));
     }
     Ok(nets)
+}
+
+/// The record of training as one JSON object per line.
+fn write_metrics(context: &Context<'_>, name: &str, curve: &[CurvePoint]) -> Result<()> {
+    let mut lines = String::new();
+    for point in curve {
+        let line = serde_json::to_string(point)
+            .map_err(|e| Error::numerics("training metrics", e.to_string(), "report this as a defect"))?;
+        lines.push_str(&line);
+        lines.push('\n');
+    }
+    context.write(&format!("metrics-{}-{name}.jsonl", context.stage), lines.as_bytes())
 }
 
 /// Numbers the points of a second training after those of the first.

@@ -2,6 +2,7 @@
 
 use crate::{Error, Result, Vec3};
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 
 /// A triangle mesh: positions [m], shape [vertex_count], and vertex ids, shape [face_count, 3], counter-clockwise seen
 /// from outside.
@@ -96,6 +97,23 @@ impl TriMesh {
     pub fn bounds(&self) -> Option<(Vec3, Vec3)> {
         bounds(&self.vertices)
     }
+    /// Every triangle split into four at its edge midpoints; old vertices keep their numbers.
+    pub fn subdivided(&self) -> TriMesh {
+        let mut vertices = self.vertices.clone();
+        let mut middle: HashMap<[u32; 2], u32> = HashMap::new();
+        let mut faces = Vec::with_capacity(4 * self.faces.len());
+        for &[a, b, c] in &self.faces {
+            let mut mid = |p: u32, q: u32| {
+                *middle.entry([p.min(q), p.max(q)]).or_insert_with(|| {
+                    vertices.push((self.vertices[p as usize] + self.vertices[q as usize]) * 0.5);
+                    vertices.len() as u32 - 1
+                })
+            };
+            let (ab, bc, ca) = (mid(a, b), mid(b, c), mid(c, a));
+            faces.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+        }
+        TriMesh { vertices, faces }
+    }
     /// The faces whose three vertices are all kept, with vertices renumbered, and the old id of each new vertex.
     pub fn submesh(&self, keep: &[bool]) -> (TriMesh, Vec<u32>) {
         let faces: Vec<_> = self.faces.iter().filter(|f| f.iter().all(|&id| keep[id as usize])).collect();
@@ -157,6 +175,9 @@ mod tests {
         assert_eq!(mesh.face_areas(), [0.5, 0.5]);
         assert!((mesh.vertex_areas().iter().sum::<f64>() - 1.0).abs() < 1e-15);
         assert!(mesh.vertex_normals().iter().all(|n| *n == Vec3::z()));
+        let fine = mesh.subdivided();
+        assert_eq!((fine.vertices.len(), fine.faces.len()), (9, 8));
+        assert!((fine.face_areas().iter().sum::<f64>() - 1.0).abs() < 1e-15);
         let (sub, old) = mesh.submesh(&[true, false, true, true]);
         assert_eq!((sub.faces, old), (vec![[0, 1, 2]], vec![0, 2, 3]));
     }

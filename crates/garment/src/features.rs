@@ -9,8 +9,9 @@ use caphy_core::{Error, Real, Result, Vec3};
 use nalgebra::Rotation3;
 use serde::{Deserialize, Serialize};
 
-/// A standard deviation below this is replaced by 1: a feature that never moved says nothing about its scale.
-const SMALLEST_DEVIATION: f64 = 1e-4;
+/// Smallest standard deviation that features are divided by. Entries of rotations are of order 1: a joint that hardly moved
+/// in training must not throw the net off by tens of deviations when it moves later.
+const SMALLEST_DEVIATION: f64 = 0.1;
 
 /// How a rotation is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -175,7 +176,7 @@ impl PoseFeatures {
         }
     }
 
-    /// Takes mean and standard deviation from raw features of many frames. A feature that never moves keeps deviation 1.
+    /// Takes mean and standard deviation from raw features of many frames. Deviations are at least 0.1.
     ///
     /// # Errors
     /// [`Error::Length`] for no frame or one of the wrong length.
@@ -194,7 +195,7 @@ impl PoseFeatures {
             let variance = frames.iter().map(|f| (f[k] - mean).powi(2)).sum::<f64>() / count;
             let deviation = variance.sqrt();
             self.mean[k] = mean;
-            self.deviation[k] = if deviation < SMALLEST_DEVIATION { 1.0 } else { deviation };
+            self.deviation[k] = deviation.max(SMALLEST_DEVIATION);
         }
         Ok(())
     }

@@ -158,17 +158,20 @@ pub fn relax<T: Real>(
                     }
                 }
             }
-            let gentle: Vec<T> = (0..lanes)
-                .map(|l| {
-                    if force_only[l] && reach[l] > T::zero() { -max_move * T::of(0.05) / reach[l] } else { T::zero() }
-                })
-                .collect();
+            let gentle: Vec<T> =
+                (0..lanes)
+                    .map(|l| {
+                        if force_only[l] && reach[l] > T::zero() {
+                            -max_move * T::of(0.05) / reach[l]
+                        } else {
+                            T::zero()
+                        }
+                    })
+                    .collect();
             add_scaled(&mut d, &gentle, &g);
         }
-        let shorten: Vec<T> = longest(&d)
-            .into_iter()
-            .map(|reach| if reach > max_move { max_move / reach } else { T::one() })
-            .collect();
+        let shorten: Vec<T> =
+            longest(&d).into_iter().map(|reach| if reach > max_move { max_move / reach } else { T::one() }).collect();
         scale(&mut d, &shorten);
 
         let slope = dot(&d, &g);
@@ -237,9 +240,16 @@ fn direction<T: Real>(g: &Frames<T>, history: &[Pair<T>]) -> Frames<T> {
     }
     if let Some(last) = history.last() {
         let yy = dot(&last.y, &last.y);
-        let gamma: Vec<T> = (0..lanes)
-            .map(|l| if last.rho[l] > T::zero() && yy[l] > T::zero() { T::one() / (last.rho[l] * yy[l]) } else { T::one() })
-            .collect();
+        let gamma: Vec<T> =
+            (0..lanes)
+                .map(|l| {
+                    if last.rho[l] > T::zero() && yy[l] > T::zero() {
+                        T::one() / (last.rho[l] * yy[l])
+                    } else {
+                        T::one()
+                    }
+                })
+                .collect();
         scale(&mut q, &gamma);
     }
     for (pair, alpha) in history.iter().zip(alphas.iter().rev()) {

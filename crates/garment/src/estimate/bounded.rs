@@ -43,9 +43,8 @@ pub fn solve(
         if !free.is_empty() {
             let m = free.len();
             let hf = DMatrix::from_fn(m, m, |a, b| h[(free[a], free[b])]);
-            let fixed = |a: usize| -> f64 {
-                (0..n).filter(|i| !free.contains(i)).map(|i| h[(free[a], i)] * z[i]).sum()
-            };
+            let fixed =
+                |a: usize| -> f64 { (0..n).filter(|i| !free.contains(i)).map(|i| h[(free[a], i)] * z[i]).sum() };
             let rhs = DVector::from_fn(m, |a, _| c[free[a]] - fixed(a));
             if let Some(solution) = hf.cholesky().map(|f| f.solve(&rhs)) {
                 // Go as far towards the free minimum as the bounds allow.
@@ -86,7 +85,13 @@ mod tests {
         let slope = &h * &z - &c;
         for i in 0..3 {
             let free = z[i] > lower[i] && z[i] < upper[i];
-            let good = if free { slope[i].abs() < 1e-10 } else if z[i] == lower[i] { slope[i] >= 0.0 } else { slope[i] <= 0.0 };
+            let good = if free {
+                slope[i].abs() < 1e-10
+            } else if z[i] == lower[i] {
+                slope[i] >= 0.0
+            } else {
+                slope[i] <= 0.0
+            };
             assert!(good, "unknown {i}: z {} slope {}", z[i], slope[i]);
         }
     }

@@ -83,7 +83,10 @@ pub fn force_balance(
 ) -> Result<FabricEstimate> {
     let description = material.describe();
     if !description.linear_in_parameters {
-        return Err(Error::unsupported("Eq. 10 as least squares (it is not linear in its parameters)", description.name));
+        return Err(Error::unsupported(
+            "Eq. 10 as least squares (it is not linear in its parameters)",
+            description.name,
+        ));
     }
     let groups = reduction::groups(material);
     let mut kept = |m: &dyn MaterialModel| -> Result<DVector<f64>> {
@@ -115,9 +118,7 @@ pub fn force_balance(
     let regularised = DMatrix::from_fn(n, n, |i, j| {
         normal[(i, j)] + if i == j { settings.regularisation * lengths[i] * lengths[i] } else { 0.0 }
     });
-    let right = DVector::from_fn(n, |i, _| {
-        -a.column(i).dot(&b) + settings.regularisation * lengths[i] * lengths[i]
-    });
+    let right = DVector::from_fn(n, |i, _| -a.column(i).dot(&b) + settings.regularisation * lengths[i] * lengths[i]);
     let lower = ones.clone() / settings.largest_factor;
     let upper = ones.clone() * settings.largest_factor;
     let z = bounded::solve(&regularised, &right, &lower, &upper, &ones)?;

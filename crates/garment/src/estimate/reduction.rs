@@ -4,8 +4,8 @@
 //! one multiplier to each group of entries that belong together: the columns of the membrane table, the rows of the bending
 //! table.
 
-use caphy_core::material::MaterialModel;
 use caphy_core::Result;
+use caphy_core::material::MaterialModel;
 
 /// A named group of native parameters.
 #[derive(Debug, Clone, PartialEq, Eq)]
