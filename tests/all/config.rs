@@ -1,0 +1,160 @@
+//! Every mistake is answered with its place and with what exists.
+
+use crate::experiment::{Experiment, TINY, edited, tiny_on_scans};
+use caphy::config::Config;
+use caphy_core::Error;
+use std::path::Path;
+
+const FILE: &str = "experiment.toml";
+
+fn error(text: &str) -> Error {
+    match Config::parse(Path::new(FILE), text) {
+        Ok(_) => panic!("this must not be accepted:\n{text}"),
+        Err(error) => error,
+    }
+}
+
+/// The error of a text names all of `words`.
+fn assert_says(text: &str, words: &[&str]) {
+    let said = error(text).to_string();
+    for word in words {
+        assert!(said.contains(word), "`{word}` is missing in: {said}");
+    }
+}
+
+/// The error names the file and the line on which `key` stands, and all of `words`.
+fn assert_points_at(text: &str, key: &str, words: &[&str]) {
+    let line = 1 + text.lines().position(|l| l.contains(key)).expect("the key's line");
+    assert!(matches!(error(text), Error::Format { .. }));
+    let place = format!("{FILE}, line {line}, column ");
+    assert_says(text, &[&[place.as_str()], words].concat());
+}
+
+#[test]
+fn shipped_configurations_are_valid() {
+    for name in ["quickstart.toml", "standin.toml"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs").join(name);
+        let config = Config::read(&path).unwrap_or_else(|e| panic!("{e}"));
+        assert_written_configuration_parses(&config);
+    }
+}
+
+#[test]
+fn configurations_survive_being_written() {
+    for text in [TINY.to_string(), tiny_on_scans("scans", &["a", "b"])] {
+        let config = Config::parse(Path::new(FILE), &text).unwrap_or_else(|e| panic!("{e}"));
+        assert_written_configuration_parses(&config);
+    }
+}
+
+/// With all defaults filled in, as in a run folder, it means the same.
+fn assert_written_configuration_parses(config: &Config) {
+    let written = toml::to_string(config).expect("TOML");
+    let read = Config::parse(Path::new("config.toml"), &written).unwrap_or_else(|e| panic!("{e}\n{written}"));
+    let value = |c: &Config| serde_json::to_value(c).expect("JSON");
+    assert_eq!(value(&read), value(config));
+}
+
+#[test]
+fn unknown_keys_are_named_with_their_line() {
+    let cases = [
+        // The root, plain sections, tables in sections.
+        ("[run]", "sed = 1\n[run]", "sed", "`run`"),
+        ("out = \"out\"", "out = \"out\"\nsede = 3", "sede", "`seed`"),
+        ("count = 8", "counts = 8", "counts", "`count`"),
+        ("windows = 48", "windows = 48\nepochs = 2", "epochs", "`rounds`"),
+        ("windows = 48", "windows = 48\nweights = { stain = 1.0 }", "stain", "`strain`"),
+        ("windows = 48", "windows = 48\ncontact = { margn = 1e-3 }", "margn", "`margin`"),
+        ("rounds = 2", "rounds = 2\nforce_balance = { factor = 2.0 }", "factor =", "`largest_factor`"),
+        ("scans = 3", "scans = 3\nscan = 3", "scan = 3", "`scans`"),
+        ("iterations = 8", "iterations = 8\nitrations = 3", "itrations", "`iterations`"),
+        ("kind = \"walk\", seconds = 2", "kind = \"walk\", seconds = 2, foo = 2", "foo", "`seconds`"),
+        // Tables that a plugin reads.
+        ("resolution = 0.03", "resolution = 0.03\nresolutions = 1", "resolutions", "`resolution`"),
+        ("type = \"vertex\"", "type = \"vertex\"\npalette = []", "palette", "no fields"),
+        ("hidden = 32", "hidden = 32\nlayer = 3", "layer = 3", "`layers`"),
+    ];
+    for (old, new, key, exists) in cases {
+        let text = edited(TINY, &[(old, new)]);
+        let name = key.split(' ').next().expect("a word");
+        assert_points_at(&text, key, &[&format!("unknown field `{name}`"), exists]);
+    }
+}
+
+#[test]
+fn unknown_keys_of_a_material_are_named() {
+    for (fabric, table) in [("navy-sparkle-sweat", "upper.material"), ("gray-interlock", "subject.upper_material")] {
+        let old = format!("fabric = \"{fabric}\"");
+        let text = edited(TINY, &[(&old, &format!("{old}, densty = 1.0"))]);
+        assert_says(&text, &[table, "unknown field `densty`", "`density_kg_per_m2`"]);
+    }
+}
+
+#[test]
+fn unknown_types_list_what_exists() {
+    for (old, wrong, exist) in [
+        ("\"mannequin\"", "\"smpl\"", ["`mannequin`", "`smplx`"]),
+        ("\"gru\"", "\"lstm\"", ["`gru`", "`mlp`"]),
+        ("\"vertex\"", "\"parser\"", ["`colour`", "`vertex`"]),
+        ("\"synthetic\"", "\"invented\"", ["`synthetic`", "`scans`"]),
+        ("\"procedural\", kind", "\"bvh\", kind", ["`amass`", "`asf_amc`"]),
+        ("\"walk\", seconds = 2", "\"wolk\", seconds = 2", ["`walk`", "`squat`"]),
+    ] {
+        let text = edited(TINY, &[(old, wrong)]);
+        let name = wrong.split('"').nth(1).expect("a quoted name");
+        assert_points_at(&text, &format!("\"{name}\""), &[&format!("unknown variant `{name}`"), exist[0], exist[1]]);
+    }
+    let material = "type = \"measured\", fabric = \"navy-sparkle-sweat\"";
+    let unknown = edited(TINY, &[(material, "type = \"neohooke\"")]);
+    assert_says(&unknown, &["upper.material", "`neohooke`", "`measured`", "`stvk`"]);
+    let no_type = edited(TINY, &[(material, "fabric = \"navy-sparkle-sweat\"")]);
+    assert_says(&no_type, &["upper.material", "missing field `type`"]);
+    let fabric = edited(TINY, &[("navy-sparkle-sweat", "denim")]);
+    assert_says(&fabric, &["material.fabric", "`denim`", "11oz-black-denim", "navy-sparkle-sweat", "royal-target"]);
+}
+
+#[test]
+fn unusable_values_name_their_key() {
+    for (old, new, key) in [
+        ("count = 8", "count = 0", "views.count"),
+        ("size = 128", "size = 1", "views.size"),
+        ("scans = 3", "scans = 1", "subject.scans"),
+        ("held_out = 1", "held_out = 3", "subject.held_out"),
+        ("resolution_m = 0.04", "resolution_m = 0.0", "subject.resolution_m"),
+        ("resolution_m = 0.05", "resolution_m = -0.05", "upper.resolution_m"),
+        ("styles = 6", "styles = 0", "upper.styles"),
+        ("[motion]", "[motion]\nfps = -30.0", "motion.fps"),
+        ("windows = 48", "windows = 0", "train.windows"),
+        ("windows = 48", "windows = 48\nwindow = 0", "train.window"),
+        ("windows = 48", "windows = 48\nbatch = 17", "train.batch"),
+        ("windows = 48", "windows = 48\nlearning_rate = -1e-3", "train.learning_rate"),
+        ("windows = 48", "windows = 48\nlearning_rate = nan", "train.learning_rate"),
+        ("windows = 48", "windows = 48\nclip_norm = inf", "train.clip_norm"),
+        ("checkpoint_every = 5", "checkpoint_every = 0", "train.checkpoint_every"),
+        ("rounds = 2", "alternations = 9", "optimise.alternations"),
+        ("rounds = 2", "force_balance = { largest_factor = 0.5 }", "optimise.force_balance.largest_factor"),
+        ("epochs = 6", "learning_rate = 0.0", "finetune.learning_rate"),
+        ("[animate]", "[animate]\nobj_every = 0", "animate.obj_every"),
+        ("[animate]", "[animate]\nseconds = -1.0", "animate.seconds"),
+    ] {
+        let error = error(&edited(TINY, &[(old, new)]));
+        assert!(matches!(&error, Error::Config { key: named, .. } if named == key), "{new}: {error}");
+        assert!(error.to_string().contains("give"), "no remedy: {error}");
+    }
+    assert_points_at(&edited(TINY, &[("count = 8", "count = -8")]), "count = -8", &["-8"]);
+    assert_points_at(&edited(TINY, &[("count = 8", "count = \"8\"")]), "count = \"8\"", &["string"]);
+    let no_clips = "clips = [{ type = \"procedural\", kind = \"walk\", seconds = 2 }]";
+    assert_says(&edited(TINY, &[(no_clips, "clips = []")]), &["motion.clips"]);
+    assert_says(&edited(TINY, &[("[net]\ntype = \"gru\"\nlayers = 2\nhidden = 32\n", "")]), &["missing field `net`"]);
+}
+
+#[test]
+fn broken_toml_points_at_its_line() {
+    assert_points_at(&edited(TINY, &[("[net]", "[net")]), "[net", &["correct the line"]);
+    assert_points_at(&edited(TINY, &[("hidden = 32", "hidden = 32\nhidden = 33")]), "hidden = 33", &["duplicate key"]);
+    let experiment = Experiment::new(TINY);
+    experiment.write(FILE, &[0xff, 0xfe, 0x00]);
+    assert!(experiment.error().contains(FILE));
+    std::fs::remove_file(experiment.config()).expect("removed");
+    assert!(experiment.error().contains(FILE));
+}

@@ -1,0 +1,12 @@
+//! Tests of the whole program, one module per thing that must hold.
+
+/// Missing, damaged and unsuitable input.
+mod bad_input;
+/// What a configuration may say, and what is answered to one that is wrong.
+mod config;
+/// Very small experiments in folders of their own.
+mod experiment;
+/// From scans to report: results, resuming, same bits.
+mod pipeline;
+/// Clothed people that nobody here made.
+mod standin;

@@ -1,0 +1,350 @@
+//! One tiny run is made once; what follows it happens in copies.
+
+use crate::experiment::{Experiment, TINY, edited, files, header, value};
+use caphy::config::Config;
+use caphy::runner::Run;
+use caphy::stage::animate::Film;
+use caphy::stage::evaluate::Scores;
+use caphy::stage::train::Nets;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+
+/// All stages of [`TINY`], in order.
+const STAGES: [&str; 10] = [
+    "synth",
+    "preprocess",
+    "train",
+    "optimise",
+    "train-optimised",
+    "finetune",
+    "evaluate",
+    "animate",
+    "export",
+    "report",
+];
+
+fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool").install(work)
+}
+
+/// The run folder of one uninterrupted run on two threads; nobody may change it.
+fn finished() -> &'static Path {
+    static FINISHED: OnceLock<(PathBuf, File)> = OnceLock::new();
+    let (folder, _) = FINISHED.get_or_init(|| {
+        let root = Path::new(env!("CARGO_TARGET_TMPDIR"));
+        std::fs::create_dir_all(root).expect("cargo's folder for tests");
+        // Another process that runs these tests is waited for: it holds the lock to its end.
+        let lock = File::create(root.join("finished.lock")).expect("a lock file");
+        lock.lock().expect("the lock");
+        let folder = root.join("finished");
+        if folder.exists() {
+            std::fs::remove_dir_all(&folder).expect("the last run removed");
+        }
+        let experiment = Experiment::new(TINY);
+        let run = Run::open(&experiment.config(), Some(folder.clone())).expect("an opened run");
+        let started = Instant::now();
+        let summary = on_threads(2, || run.all()).unwrap_or_else(|e| panic!("{e}"));
+        println!("a tiny run takes {:.1} s", started.elapsed().as_secs_f64());
+        assert_eq!(summary.ran, STAGES);
+        (folder, lock)
+    });
+    folder
+}
+
+/// The start of a PNG as it stands in a data URL; 60 bytes hold its size, a checksum and the first data.
+fn start_of_data_url(png: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let digits = png[..60].chunks(3).flat_map(|b| {
+        let bits = u32::from_be_bytes([0, b[0], b[1], b[2]]);
+        [18, 12, 6, 0].map(|shift| char::from(DIGITS[(bits >> shift) as usize & 63]))
+    });
+    format!("data:image/png;base64,{}", digits.collect::<String>())
+}
+
+#[test]
+fn a_run_ends_with_a_report_that_holds_its_pictures() {
+    let all = files(finished());
+    let html = std::str::from_utf8(&all["report.html"]).expect("text");
+    let pictures: Vec<_> = all.iter().filter(|(name, _)| name.starts_with("pictures/")).collect();
+    assert!(pictures.len() >= 4, "{} pictures", pictures.len());
+    for (name, png) in pictures {
+        assert!(html.contains(&start_of_data_url(png)), "{name} is not in the report");
+    }
+    for from_elsewhere in ["src=\"", "href=\""] {
+        for (at, _) in html.match_indices(from_elsewhere) {
+            let target = &html[at + from_elsewhere.len()..];
+            assert!(
+                target.starts_with("data:") || target.starts_with("export/"),
+                "the report needs {}",
+                target.chars().take(60).collect::<String>()
+            );
+        }
+    }
+    assert!(html.contains("<svg"), "the report has no curves");
+    let config = std::str::from_utf8(&all["config.toml"]).expect("text");
+    Config::parse(Path::new("config.toml"), config).unwrap_or_else(|e| panic!("{e}"));
+}
+
+#[test]
+fn the_avatar_is_exported() {
+    let all = files(finished());
+    let glb = &all["export/avatar.glb"];
+    assert_eq!(&glb[..4], b"glTF");
+    let word = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().expect("four bytes")) as usize;
+    assert_eq!((word(4), word(8)), (2, glb.len()));
+    let scene: serde_json::Value = serde_json::from_slice(&glb[20..20 + word(12)]).expect("the JSON chunk");
+    let meshes: Vec<_> = scene["meshes"].as_array().expect("meshes").iter().map(|m| &m["name"]).collect();
+    assert_eq!(meshes, ["body", "upper", "lower"]);
+    assert_eq!(scene["skins"].as_array().map(Vec::len), Some(1));
+    assert_eq!(scene["animations"].as_array().map(Vec::len), Some(1));
+
+    // 1 s at 30 fps are 31 frames, every fifth from the first on as OBJ.
+    for part in ["body", "upper", "lower"] {
+        let name = |n: &String| n.starts_with(&format!("export/obj/{part}_")) && n.ends_with(".obj");
+        assert_eq!(all.keys().filter(|n| name(n)).count(), 7, "OBJ files of {part}");
+    }
+    let film: Film = value(finished(), "animate");
+    assert_eq!(film.clip.poses.len(), 31);
+    for garment in &film.garments {
+        let path = format!("export/obj/{}_00005.obj", garment.kind);
+        let mesh = caphy_formats::obj::read_obj(Path::new(&path), &all[&path]).expect("an OBJ").scan.mesh;
+        let shown = garment.vertices(5);
+        assert_eq!(mesh.vertices.len(), shown.len());
+        for (a, b) in mesh.vertices.iter().zip(&shown) {
+            assert!((a - b).norm() < 1e-5, "{path}: {a} is not {b}");
+        }
+        // Nothing flies away: a person with stretched arms fits into a cube of 2.5 m around the pelvis.
+        for (frame, positions) in garment.frames.iter().enumerate() {
+            let pelvis = film.clip.poses[frame].translation;
+            for p in positions {
+                let from_pelvis = [0, 1, 2].map(|k| f64::from(p[k]) - pelvis[k]);
+                assert!(from_pelvis.iter().all(|d| d.abs() < 1.25), "{} in frame {frame}: {p:?}", garment.kind);
+            }
+        }
+    }
+    let nets: Nets = value(finished(), "finetune");
+    for garment in &nets.garments {
+        let bytes = &all[&format!("export/{}.safetensors", garment.kind)];
+        let length = u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes")) as usize;
+        assert_eq!(bytes.len(), 8 + length + 4 * garment.parameters.len());
+        let described: serde_json::Value = serde_json::from_slice(&bytes[8..8 + length]).expect("a header");
+        assert_eq!(described["__metadata__"]["garment"], garment.kind.to_string());
+    }
+}
+
+#[test]
+fn what_was_fitted_is_near_the_truth() {
+    let scores: Scores = value(finished(), "evaluate");
+    assert_eq!(scores.scans.iter().filter(|s| s.held_out).count(), 1);
+    for scan in &scores.scans {
+        // The requirements on stand-in scans; a generated subject with stored labels must meet them all the more.
+        let [median, _] = scan.joint_error_mm.expect("the truth is known");
+        assert!(median <= 30.0, "{}: joints {median} mm off", scan.name);
+        let agreement = scan.label_agreement.expect("labels are stored");
+        assert!(agreement >= 0.95, "{}: {agreement} of the labels", scan.name);
+        assert_eq!(scan.garments.len(), 2);
+        for garment in &scan.garments {
+            // Vertices are 5 cm apart: a point on a well-placed triangle is up to 29 mm from the nearest corner.
+            assert!(garment.scan_to_garment_mm < 40.0, "{}: {garment:?}", scan.name);
+        }
+    }
+    assert_eq!(scores.fabrics.len(), 2);
+}
+
+#[test]
+fn a_second_run_does_nothing() {
+    let experiment = Experiment::copy_of(finished(), TINY);
+    let before = files(&experiment.out());
+    let summary = experiment.run();
+    assert!(summary.ran.is_empty(), "ran {:?}", summary.ran);
+    assert!(summary.table.contains("scan-02 (held out)"), "{}", summary.table);
+    assert!(files(&experiment.out()) == before, "files changed");
+}
+
+#[test]
+fn a_lost_file_runs_its_stage_alone() {
+    let experiment = Experiment::copy_of(finished(), TINY);
+    let lose = |name: &str| std::fs::remove_file(experiment.out().join(name)).expect(name);
+    for (file, stage) in [
+        ("pictures/templates.png", "preprocess"),
+        ("pictures/strip.png", "animate"),
+        ("export/obj/upper_00010.obj", "export"),
+        ("evaluate.caphy", "evaluate"),
+        ("report.html", "report"),
+    ] {
+        lose(file);
+        // The stage makes the same bits again, so that nothing after it is out of date.
+        assert_eq!(experiment.run().ran, [stage], "after {file} was lost");
+    }
+    let (old, new) = (files(finished()), files(&experiment.out()));
+    for name in ["pictures/templates.png", "pictures/strip.png", "export/obj/upper_00010.obj", "evaluate.caphy"] {
+        assert!(old[name] == new[name], "{name} came back with other bits");
+    }
+}
+
+#[test]
+fn a_changed_section_runs_what_depends_on_it() {
+    let config = edited(TINY, &[("seconds = 1, seed = 11 }", "seconds = 0.5, seed = 12 }")]);
+    let experiment = Experiment::copy_of(finished(), &config);
+    assert_eq!(experiment.run().ran, ["animate", "export", "report"]);
+    experiment.configure(&edited(&config, &[("[animate]", "[evaluate]\npenetration_m = 2e-3\n\n[animate]")]));
+    assert_eq!(experiment.run().ran, ["evaluate", "report"]);
+}
+
+#[test]
+fn one_thread_gives_the_same_bits_as_two() {
+    let experiment = Experiment::new(TINY);
+    let summary = on_threads(1, || experiment.try_run()).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(summary.ran, STAGES);
+    assert_same_results(&experiment.out());
+}
+
+/// Artifacts and files of a run against those of the uninterrupted run on two threads.
+fn assert_same_results(out: &Path) {
+    let (expected, got) = (files(finished()), files(out));
+    for stage in STAGES.iter().filter(|s| **s != "synth") {
+        let name = format!("{stage}.caphy");
+        let content = |folder: &Path| header(&folder.join(&name)).content;
+        assert_eq!(content(out), content(finished()), "{name}");
+        assert!(got[&name] == expected[&name], "{name} has other bits");
+    }
+    // The report also tells times.
+    let folders = ["scans/", "pictures/", "export/"];
+    let results = |name: &&String| folders.iter().any(|folder| name.starts_with(folder));
+    assert!(got.keys().filter(results).eq(expected.keys().filter(results)), "other files");
+    for name in expected.keys().filter(results) {
+        assert!(got[name] == expected[name], "{name} has other bits");
+    }
+}
+
+/// The program on an experiment.
+fn program(experiment: &Experiment) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_caphy"));
+    command.arg("run").arg(experiment.config()).arg("--out").arg(experiment.out());
+    command.stdin(Stdio::null()).stdout(Stdio::null());
+    command
+}
+
+/// Runs the program and kills it as soon as a checkpoint is there; tells whether it was killed before its stage was done.
+fn killed_at(experiment: &Experiment, checkpoint: &str, stage: &str) -> bool {
+    let checkpoint = experiment.out().join(checkpoint);
+    let mut child = program(experiment).stderr(Stdio::null()).spawn().expect("the program starts");
+    let started = Instant::now();
+    while !checkpoint.exists() {
+        assert!(started.elapsed() < Duration::from_secs(120), "no {} in two minutes", checkpoint.display());
+        if child.try_wait().expect("a child").is_some() {
+            return false;
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    child.kill().expect("killed");
+    child.wait().expect("a child");
+    checkpoint.exists() && !experiment.out().join(format!("{stage}.caphy")).exists()
+}
+
+#[test]
+fn a_killed_run_goes_on_to_the_same_bits() {
+    // A busy machine may let a stage finish between two looks: then there is nothing to go on from, and it is done again.
+    let mut attempts = 0;
+    let experiment = loop {
+        let experiment = Experiment::new(TINY);
+        if killed_at(&experiment, "checkpoint-upper.caphy", "train") {
+            break experiment;
+        }
+        attempts += 1;
+        assert!(attempts < 5, "training was never caught at a checkpoint");
+    };
+    // What a crash while writing leaves behind.
+    std::fs::write(experiment.out().join("checkpoint-upper.caphy.tmp"), b"half a checkpoint").expect("written");
+    std::fs::write(experiment.out().join("train.caphy.tmp"), b"half an artifact").expect("written");
+
+    // A damaged checkpoint is never gone on from.
+    let damaged = Experiment::copy_of(&experiment.out(), TINY);
+    damage(&damaged.out().join("checkpoint-upper.caphy"));
+    let text = damaged.error();
+    assert!(text.contains("checkpoint-upper.caphy") && text.contains("delete the file"), "{text}");
+
+    if !killed_at(&experiment, "checkpoint-finetune.caphy", "finetune") {
+        println!("fine-tuning was not caught at a checkpoint; only training was interrupted");
+    }
+    let output = program(&experiment).stderr(Stdio::piped()).output().expect("the program ends");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert_same_results(&experiment.out());
+    let left: Vec<String> = files(&experiment.out())
+        .into_keys()
+        .filter(|n| n.starts_with("checkpoint-") && n.ends_with(".caphy"))
+        .collect();
+    assert!(left.is_empty(), "checkpoints of finished stages: {left:?}");
+}
+
+#[test]
+fn training_says_where_it_goes_on() {
+    let mut attempts = 0;
+    loop {
+        // Everything before training is taken over, so that only training is interrupted.
+        let experiment = Experiment::copy_of(finished(), TINY);
+        for stage in ["train", "optimise", "train-optimised", "finetune"] {
+            std::fs::remove_file(experiment.out().join(format!("{stage}.caphy"))).expect("an artifact");
+        }
+        if killed_at(&experiment, "checkpoint-lower.caphy", "train") {
+            let output = program(&experiment).stderr(Stdio::piped()).output().expect("the program ends");
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert!(said.contains("lower: going on from step "), "{said}");
+            // The stages behind it find their results still valid.
+            assert!(!said.contains("evaluate started"), "{said}");
+            assert_same_results(&experiment.out());
+            return;
+        }
+        attempts += 1;
+        assert!(attempts < 5, "training was never caught at a checkpoint");
+    }
+}
+
+#[test]
+fn a_folder_in_use_is_refused() {
+    let experiment = Experiment::new(TINY);
+    let first = Run::open(&experiment.config(), Some(experiment.out())).unwrap_or_else(|e| panic!("{e}"));
+    let text = experiment.error();
+    assert!(text.contains("in use by another run"), "{text}");
+    assert!(text.contains(&experiment.out().display().to_string()), "{text}");
+    // The same from another process.
+    let output = program(&experiment).stderr(Stdio::piped()).output().expect("the program ends");
+    assert!(!output.status.success());
+    assert!(String::from_utf8_lossy(&output.stderr).contains("another run"));
+    drop(first);
+    Run::open(&experiment.config(), Some(experiment.out())).unwrap_or_else(|e| panic!("{e}"));
+}
+
+/// Flips one bit in the middle of a file.
+fn damage(path: &Path) {
+    let mut bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(path, bytes).expect("written");
+}
+
+#[test]
+fn a_damaged_artifact_is_named_and_can_be_made_again() {
+    let experiment = Experiment::copy_of(finished(), TINY);
+    let path = experiment.out().join("train.caphy");
+    let sound = std::fs::read(&path).expect("an artifact");
+    let expect_error = |what: &str| {
+        let text = experiment.error();
+        assert!(text.contains("train.caphy") && text.contains("delete the file"), "{what}: {text}");
+    };
+    damage(&path);
+    expect_error("one bit");
+    for (what, length) in [("cut off", sound.len() / 2), ("without a body", 100), ("empty", 0)] {
+        std::fs::write(&path, &sound[..length]).expect("written");
+        expect_error(what);
+    }
+    std::fs::write(&path, b"something else\nentirely").expect("written");
+    expect_error("another file");
+    std::fs::remove_file(&path).expect("removed");
+    assert_eq!(experiment.run().ran, ["train"]);
+    assert!(std::fs::read(&path).expect("an artifact") == sound, "train.caphy came back with other bits");
+}
