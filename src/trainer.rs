@@ -410,7 +410,7 @@ pub struct CurvePoint {
 /// The learning rate at a share of the whole: a short rise, then a cosine down to `final_rate`.
 pub fn learning_rate(config: &TrainConfig, first: f64, share: f64) -> f64 {
     const RISE: f64 = 0.01;
-    let rise = (share / RISE).min(1.0).max(0.05);
+    let rise = (share / RISE).clamp(0.05, 1.0);
     let cosine = 0.5 * (1.0 + (std::f64::consts::PI * share.clamp(0.0, 1.0)).cos());
     first * rise * (config.final_rate + (1.0 - config.final_rate) * cosine)
 }

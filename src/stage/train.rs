@@ -199,7 +199,7 @@ fn learn(
                 if !batch.scans && batch.windows == config.batch {
                     times.push(started.elapsed().as_secs_f64() * 1e3);
                 }
-                if step % every == 0 || batch.scans && step % every < config.scan_epochs {
+                if step.is_multiple_of(every) || batch.scans && step % every < config.scan_epochs {
                     curve.push(CurvePoint {
                         step,
                         scans: batch.scans,
@@ -208,11 +208,11 @@ fn learn(
                     });
                 }
                 step += 1;
-                if step % 10 == 0 {
+                if step.is_multiple_of(10) {
                     let total: f64 = energies.iter().map(|e| e.1).sum();
                     progress(share, &format!("{name}: step {step} of {}, {total:.3} J", batches.len()));
                 }
-                if step % config.checkpoint_every == 0 {
+                if step.is_multiple_of(config.checkpoint_every) {
                     at = Checkpoint {
                         step,
                         state: learner.snapshot(),

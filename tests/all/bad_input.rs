@@ -32,7 +32,7 @@ fn person() -> Scan {
     let posed = body.forward(&BodyParameters::rest(joints, &[])).expect("a posed body");
     let mesh = TriMesh { vertices: posed.vertices, faces: body.describe().faces.clone() };
     let label = |p: &Vec3| match p.y {
-        y if y > 0.5 || y < -0.8 || p.x.abs() > 0.6 => Label::Body,
+        y if !(-0.8..=0.5).contains(&y) || p.x.abs() > 0.6 => Label::Body,
         y if y > 0.0 => Label::Upper,
         _ => Label::Lower,
     };

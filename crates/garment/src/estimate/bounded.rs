@@ -102,7 +102,8 @@ mod tests {
         let c = DVector::from_row_slice(&[4.0, 0.0]);
         let (lower, upper) = (DVector::zeros(2), DVector::from_element(2, 9.0));
         let z = solve(&h, &c, &lower, &upper, &DVector::from_row_slice(&[1.0, 1.5])).unwrap();
-        assert_eq!((z[0], z[1]), (2.0, 1.5));
+        // The seen one is solved to rounding, the unseen one is not touched at all.
+        assert!((z[0] - 2.0).abs() < 1e-14 && z[1] == 1.5, "{z}");
         let nan = DVector::from_row_slice(&[f64::NAN, 0.0]);
         assert!(solve(&h, &nan, &lower, &upper, &upper).is_err());
     }

@@ -1,0 +1,106 @@
+//! One training step by the trainer's own functions, at T-shirt scale: about 4400 vertices, 16 windows of 5 frames, a body of
+//! about 10 000 vertices cut down to what the shirt can reach, all terms but Chamfer.
+//!
+//! `cargo bench --bench training_step`
+
+use caphy::config::TrainConfig;
+use caphy::garment::FittedGarment;
+use caphy::track::{BodyTrack, Reach};
+use caphy::trainer::{Batch, GarmentLearner, MotionFrames, ScanFrames, untrained};
+use caphy_bodymodel::BodyMannequin;
+use caphy_bodymodel::procedural_motion::{MotionKind, procedural_clip};
+use caphy_core::Vec3;
+use caphy_core::body::{BodyModel, BodyParameters};
+use caphy_core::material::MaterialSpec;
+use caphy_core::net::NetSpec;
+use caphy_garment::energy::ScanCloud;
+use caphy_garment::skinning::{WeightOptions, garment_weights};
+use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
+use criterion::{Criterion, criterion_group, criterion_main};
+use std::hint::black_box;
+use std::sync::Arc;
+
+fn training_step(c: &mut Criterion) {
+    let body = BodyMannequin { resolution: 0.0162 }.generate().expect("the mannequin can be made");
+    let joints = body.describe().joints.len();
+    let subject = BodyParameters::rest(joints, &[]);
+    let rest = BodyRest::from_model(&body, &subject).expect("a body at rest");
+    let rest_mesh = rest.mesh.clone();
+    let style = UpperStyle { sleeve_length: 0.4, body_length: 0.5, looseness: 0.02, neckline: 0.3 };
+    let template = Tailor::new(rest).and_then(|t| t.generate(&Style::Upper(style), 0.0133)).expect("a shirt");
+    let options = WeightOptions::default();
+    let (mesh, weights) = (&template.mesh, &body.describe().weights);
+    let shirt = FittedGarment {
+        kind: template.kind,
+        style: template.style,
+        weights: garment_weights(&mesh.vertices, &mesh.faces, &rest_mesh.vertices, weights, &options).expect("weights"),
+        mesh: mesh.clone(),
+        material_uv: template.material_uv.clone(),
+        loops: template.loops.clone(),
+        grain: template.grain.clone(),
+    };
+    let reach = Reach::new(&rest_mesh, &[&shirt.mesh.vertices], 0.12).expect("a reachable body");
+    let clip = procedural_clip(MotionKind::Walk, 1, 4.0, 30.0).expect("a clip");
+    let track = BodyTrack::new(&body, &subject, &reach, &clip.poses).expect("posed bodies");
+    println!(
+        "shirt {} vertices, body {} vertices of which {} can be reached",
+        shirt.mesh.vertices.len(),
+        rest_mesh.vertices.len(),
+        reach.vertices.len()
+    );
+    let count = clip.poses.len();
+    let motion = MotionFrames {
+        track,
+        starts: (0..count - 5).collect(),
+        has_before: (0..count).map(|i| i > 0).collect(),
+        fps: 30.0,
+    };
+    let scan_track = Arc::new(BodyTrack::new(&body, &subject, &reach, &clip.poses[..1]).expect("a posed body"));
+    let cloud = ScanCloud::new("bench", &[Vec3::zeros()]).expect("a cloud");
+    let scans = ScanFrames { track: scan_track, clouds: vec![cloud], visible: vec![true; shirt.mesh.vertices.len()] };
+    let config = TrainConfig::default();
+    let net: Box<dyn NetSpec> = toml::from_str("type = \"gru\"").expect("a net");
+    let first = untrained(&shirt, body.describe(), &*net, &config, &motion, &scans.track, 1).expect("an untrained net");
+    let batch =
+        Batch { frames: (0..5).flat_map(|t| (0..16).map(move |w| 7 * w + t)).collect(), windows: 16, scans: false };
+    for (material, table) in [
+        ("stvk", "type = \"stvk\"\nyoung_pa = 0.7e5\npoisson = 0.485\nthickness_m = 0.47e-3\ndensity_kg_per_m2 = 0.2"),
+        ("measured", "type = \"measured\"\nfabric = \"gray-interlock\""),
+    ] {
+        let spec: Box<dyn MaterialSpec> = toml::from_str(table).expect("a material");
+        let model: Arc<_> = Arc::from(spec.build().expect("a material"));
+        let contact = reach.contact(&rest_mesh, &shirt).expect("a contact map");
+        let mut learner =
+            GarmentLearner::new(&shirt, &first, model, &*net, &config, &motion, &scans, contact).expect("a learner");
+        for threads in [1, std::thread::available_parallelism().map_or(1, usize::from)] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            let mut group = c.benchmark_group(format!("{material}, {threads} threads"));
+            group.sample_size(10);
+            group.bench_function("forward (net, skinning, energies)", |b| {
+                b.iter(|| pool.install(|| black_box(learner.forward(&batch).expect("a pass"))));
+            });
+            let pass = learner.forward(&batch).expect("a pass");
+            group.bench_function("backward and Adam", |b| {
+                b.iter(|| {
+                    pool.install(|| {
+                        learner.backward(&pass).expect("a gradient");
+                        black_box(learner.step(1e-9, 1.0).expect("a step"))
+                    })
+                });
+            });
+            group.bench_function("whole step", |b| {
+                b.iter(|| {
+                    pool.install(|| {
+                        let pass = learner.forward(&batch).expect("a pass");
+                        learner.backward(&pass).expect("a gradient");
+                        black_box(learner.step(1e-9, 1.0).expect("a step"))
+                    })
+                });
+            });
+            group.finish();
+        }
+    }
+}
+
+criterion_group!(benches, training_step);
+criterion_main!(benches);
