@@ -5,8 +5,8 @@ use crate::config::{Config, SubjectConfig};
 use crate::files::ProjectFiles;
 use crate::progress::Progress;
 use crate::stage::{self, Context, StageOutput};
+use caphy_core::files::Files;
 use caphy_core::{Error, Result};
-use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -141,6 +141,28 @@ impl Run {
         Context { config, files, folder, stage, key, progress, timings }
     }
 
+    /// Hashes of the files that a part of the configuration names: a stage runs again when a body or a clip has changed.
+    fn input_hashes(&self, key: &[serde_json::Value]) -> Result<Vec<String>> {
+        /// Keys of the configuration whose values are paths of input files.
+        const PATHS: [&str; 3] = ["path", "skeleton", "ground_truth"];
+        fn named(value: &serde_json::Value, out: &mut Vec<PathBuf>) {
+            match value {
+                serde_json::Value::Array(list) => list.iter().for_each(|v| named(v, out)),
+                serde_json::Value::Object(map) => {
+                    for (key, value) in map {
+                        match value.as_str() {
+                            Some(path) if PATHS.contains(&key.as_str()) => out.push(path.into()),
+                            _ => named(value, out),
+                        }
+                    }
+                }
+                _ => {}
+            }
+        }
+        let mut paths = Vec::new();
+        key.iter().for_each(|value| named(value, &mut paths));
+        paths.iter().map(|path| Ok(artifact::hash(&self.files.read(path)?))).collect()
+    }
     fn timings(&self) -> BTreeMap<String, f64> {
         self.timings.lock().map(|t| t.clone()).unwrap_or_default()
     }
@@ -156,11 +178,12 @@ impl Run {
     fn stage<T: StageOutput>(
         &mut self,
         name: &'static str,
-        key: &impl Serialize,
+        key: &[serde_json::Value],
         upstream: &str,
         run: impl FnOnce(&Context<'_>) -> Result<T>,
     ) -> Result<(T, String)> {
-        let material = serde_json::to_vec(&(name, env!("CARGO_PKG_VERSION"), self.config.run.seed, key, upstream))
+        let inputs = self.input_hashes(key)?;
+        let material = serde_json::to_vec(&(name, env!("CARGO_PKG_VERSION"), self.config.run.seed, key, inputs, upstream))
             .map_err(|e| Error::config(name, e.to_string(), "report this as a defect"))?;
         let key = artifact::hash(&material);
         let path = self.folder.join(format!("{name}.caphy"));

@@ -1,13 +1,13 @@
 //! NumPy archives (`.npz`): a zip of `.npy` arrays. Pickles are refused, never unpickled.
 //!
-//! The zip layer is npyz's. The `.npy` layer is read here, because files of this field mix widths freely (faces as
+//! The zip layer is `zip`'s. The `.npy` layer is read here, because files of this field mix widths freely (faces as
 //! `u4` or `i8`, rates as `f8` or `i8`, weights as `f4` or `f8`) and because a header is checked against the size of
 //! its zip entry before anything is allocated.
 
 use caphy_core::{Error, Result};
-use npyz::npz::NpzArchive;
 use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
+use zip::ZipArchive;
 
 /// Largest array that is read [bytes]: ten times the largest of a body model (SMPL-X pose correctives, 122 MB).
 const LARGEST_ARRAY: u64 = 2 << 30;
@@ -55,10 +55,11 @@ impl Npz {
                 ),
             ));
         }
-        let archive = NpzArchive::new(Cursor::new(bytes.as_slice())).map_err(|e| {
+        let archive = ZipArchive::new(Cursor::new(bytes.as_slice())).map_err(|e| {
             Error::format(path, "zip directory", e.to_string(), "the file is damaged, cut off or no .npz: get it again")
         })?;
-        let mut names: Vec<String> = archive.array_names().map(String::from).collect();
+        let mut names: Vec<String> =
+            archive.file_names().filter_map(|file| file.strip_suffix(".npy")).map(String::from).collect();
         names.sort();
         Ok(Self { path: path.into(), bytes, names })
     }
@@ -199,9 +200,8 @@ impl Npz {
         let damaged = |problem: String| {
             Error::format(&self.path, at(), problem, "the file is damaged or made to deceive: get it again")
         };
-        let mut archive = NpzArchive::new(Cursor::new(self.bytes.as_slice())).map_err(|e| damaged(e.to_string()))?;
-        let entry_name = npyz::npz::file_name_from_array_name(name);
-        let mut entry = archive.zip_archive().by_name(&entry_name).map_err(|e| damaged(e.to_string()))?;
+        let mut archive = ZipArchive::new(Cursor::new(self.bytes.as_slice())).map_err(|e| damaged(e.to_string()))?;
+        let mut entry = archive.by_name(&format!("{name}.npy")).map_err(|e| damaged(e.to_string()))?;
         let announced = entry.size();
 
         let mut start = [0u8; 10];
