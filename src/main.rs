@@ -1,8 +1,9 @@
 //! The `caphy` program.
 
+use caphy_core::{Error, Result};
 use clap::{Parser, Subcommand};
-use miette::{IntoDiagnostic, Result};
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 /// From 3D scans of one clothed person to an avatar whose garments move by that person's own fabrics.
 #[derive(Parser)]
@@ -28,16 +29,28 @@ enum Command {
     },
 }
 
-fn main() -> Result<()> {
-    let cli = Cli::parse();
-    if let Some(threads) = cli.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().into_diagnostic()?;
+fn main() -> ExitCode {
+    match run(&Cli::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
     }
-    match cli.command {
+}
+
+fn run(cli: &Cli) -> Result<()> {
+    if let Some(threads) = cli.threads {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+        pool.map_err(|e| {
+            Error::config("--threads", e.to_string(), "give a number of threads that the machine can start")
+        })?;
+    }
+    match &cli.command {
         Command::Run { config, out } => {
-            let run = caphy::runner::Run::open(&config, out).map_err(|e| miette::miette!("{e}"))?;
+            let run = caphy::runner::Run::open(config, out.clone())?;
             let started = std::time::Instant::now();
-            let summary = run.all().map_err(|e| miette::miette!("{e}"))?;
+            let summary = run.all()?;
             println!("{}", summary.table);
             if summary.ran.is_empty() {
                 println!("Nothing to do: every stage was up to date.");

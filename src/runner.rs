@@ -183,8 +183,9 @@ impl Run {
         run: impl FnOnce(&Context<'_>) -> Result<T>,
     ) -> Result<(T, String)> {
         let inputs = self.input_hashes(key)?;
-        let material = serde_json::to_vec(&(name, env!("CARGO_PKG_VERSION"), self.config.run.seed, key, inputs, upstream))
-            .map_err(|e| Error::config(name, e.to_string(), "report this as a defect"))?;
+        let material =
+            serde_json::to_vec(&(name, env!("CARGO_PKG_VERSION"), self.config.run.seed, key, inputs, upstream))
+                .map_err(|e| Error::config(name, e.to_string(), "report this as a defect"))?;
         let key = artifact::hash(&material);
         let path = self.folder.join(format!("{name}.caphy"));
         if let Some((value, content)) = artifact::load::<T>(&path, name, &key)?
