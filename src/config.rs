@@ -3,6 +3,7 @@
 //! Unknown keys and types are errors that name the key, its line, and what exists. Every default stands beside its field
 //! with its reason.
 
+use crate::files::ProjectFiles;
 use caphy_bodymodel::registration::RegistrationSettings;
 use caphy_core::body::BodySpec;
 use caphy_core::material::MaterialSpec;
@@ -11,6 +12,7 @@ use caphy_core::segmenter::SegmenterSpec;
 use caphy_core::{Error, Result};
 use caphy_garment::energy::{ContactOptions, LayeringOptions};
 use caphy_garment::estimate::ForceBalanceSettings;
+use caphy_garment::template::{RESOLUTION_RANGE, StyleRange};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -421,7 +423,13 @@ fn two_millimetres() -> f64 {
 impl Config {
     /// Parses and checks a configuration; `path` is for messages.
     pub fn parse(path: &Path, text: &str) -> Result<Config> {
-        let config: Config = toml::from_str(text).map_err(|e| parse_error(path, text, &e))?;
+        let config: Config = toml::from_str(text).map_err(|e| parse_error(path, text, &e, 0))?;
+        for (key, table) in config.materials() {
+            // Material tables are kept as written: their mistakes are looked for where the table stands.
+            let at = key.split('.').fold(0, |from, part| find_word(text, part, from).unwrap_or(from));
+            let spec: std::result::Result<Box<dyn MaterialSpec>, _> = table.0.clone().try_into();
+            spec.map_err(|e| parse_error(path, text, &e, at))?;
+        }
         config.check()?;
         Ok(config)
     }
@@ -429,6 +437,38 @@ impl Config {
     pub fn read(path: &Path) -> Result<Config> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
         Self::parse(path, &text)
+    }
+    /// All materials with their keys.
+    fn materials(&self) -> Vec<(&'static str, &MaterialTable)> {
+        let mut all = vec![("upper.material", &self.upper.material), ("lower.material", &self.lower.material)];
+        if let SubjectConfig::Synthetic(s) = &self.subject {
+            all.push(("subject.upper_material", &s.upper_material));
+            all.push(("subject.lower_material", &s.lower_material));
+        }
+        all
+    }
+    /// Refuses paths that lead to no file, before hours are spent on the way to the stage that reads them.
+    ///
+    /// # Errors
+    /// [`Error::Config`] naming the key and the path.
+    pub fn check_files(&self, files: &ProjectFiles) -> Result<()> {
+        let mut named: Vec<(&str, &Path)> = Vec::new();
+        let clips = self.motion.clips.iter().map(|clip| ("motion.clips", clip));
+        for (key, clip) in clips.chain([("animate.clip", &self.animate.clip)]) {
+            match clip {
+                ClipConfig::Procedural { .. } => {}
+                ClipConfig::Amass { path, .. } => named.push((key, path)),
+                ClipConfig::AsfAmc { skeleton, path, .. } => named.extend([(key, &**skeleton), (key, &**path)]),
+            }
+        }
+        named.extend(self.evaluate.ground_truth.as_deref().map(|path| ("evaluate.ground_truth", path)));
+        for (key, path) in named {
+            let resolved = files.resolve(path)?;
+            if !resolved.is_file() {
+                return Err(Error::config(key, format!("{} is not a file", resolved.display()), "correct the path"));
+            }
+        }
+        Ok(())
     }
     fn check(&self) -> Result<()> {
         let positive = |key: &str, value: f64| {
@@ -445,17 +485,52 @@ impl Config {
                 Err(Error::config(key, format!("{value}"), format!("give {least} to {most}")))
             }
         };
-        for (name, garment) in [("upper", &self.upper), ("lower", &self.lower)] {
-            garment.material.spec(&format!("{name}.material"))?.build()?;
-            count(&format!("{name}.styles"), garment.styles, 1, 100_000)?;
-            positive(&format!("{name}.resolution_m"), garment.resolution_m)?;
+        let not_negative = |key: &str, value: f64| {
+            if value.is_finite() && value >= 0.0 {
+                Ok(())
+            } else {
+                Err(Error::config(key, format!("{value}"), "give 0 or a positive number"))
+            }
+        };
+        let resolution = |key: &str, value: f64| {
+            let StyleRange { lower, upper, .. } = RESOLUTION_RANGE;
+            if (lower..=upper).contains(&value) {
+                Ok(())
+            } else {
+                Err(Error::config(key, format!("{value}"), format!("give {lower} to {upper} m")))
+            }
+        };
+        for (key, material) in self.materials() {
+            material.spec(key)?.build().map_err(|error| match error {
+                // A material knows its own keys only.
+                Error::Config { key: own, problem, remedy } => {
+                    let own = own.strip_prefix("material.").unwrap_or(&own);
+                    Error::config(format!("{key}.{own}"), problem, remedy)
+                }
+                other => other,
+            })?;
         }
+        for (name, garment) in [("upper", &self.upper), ("lower", &self.lower)] {
+            count(&format!("{name}.styles"), garment.styles, 1, 100_000)?;
+            resolution(&format!("{name}.resolution_m"), garment.resolution_m)?;
+        }
+        for (key, clip) in
+            self.motion.clips.iter().map(|c| ("motion.clips", c)).chain([("animate.clip", &self.animate.clip)])
+        {
+            match clip {
+                ClipConfig::Procedural { seconds, .. } => positive(&format!("{key}.seconds"), *seconds)?,
+                ClipConfig::Amass { .. } => {}
+                ClipConfig::AsfAmc { fps, .. } => positive(&format!("{key}.fps"), *fps)?,
+            }
+        }
+        self.registration.check()?;
+        // Sizes that no net can have; the real numbers of inputs and outputs follow from body and garment.
+        self.net.build(1, 3)?;
         if let SubjectConfig::Synthetic(s) = &self.subject {
             count("subject.scans", s.scans, 2, 1000)?;
             count("subject.held_out", s.held_out, 0, s.scans - 1)?;
-            positive("subject.resolution_m", s.resolution_m)?;
-            s.upper_material.spec("subject.upper_material")?.build()?;
-            s.lower_material.spec("subject.lower_material")?.build()?;
+            not_negative("subject.noise_m", s.noise_m)?;
+            resolution("subject.resolution_m", s.resolution_m)?;
         }
         count("views.count", self.views.count, 1, 10_000)?;
         count("views.size", self.views.size, 16, 16_384)?;
@@ -470,7 +545,35 @@ impl Config {
         positive("train.learning_rate", train.learning_rate)?;
         positive("train.final_rate", train.final_rate)?;
         positive("train.clip_norm", train.clip_norm)?;
+        if train.final_rate > 1.0 {
+            return Err(Error::config("train.final_rate", format!("{}", train.final_rate), "give a share, at most 1"));
+        }
         positive("train.output_scale_m", train.output_scale_m)?;
+        count("train.scan_points", train.scan_points, 1, usize::MAX)?;
+        let TermWeights { strain, bending, gravity, inertia, collision, attachment, scan, layering } = train.weights;
+        for (name, weight) in [
+            ("strain", strain),
+            ("bending", bending),
+            ("gravity", gravity),
+            ("inertia", inertia),
+            ("collision", collision),
+            ("attachment", attachment),
+            ("scan", scan),
+            ("layering", layering),
+        ] {
+            not_negative(&format!("train.weights.{name}"), weight)?;
+        }
+        let ContactOptions { margin, allowed_depth, load } = train.contact;
+        not_negative("train.contact.margin", margin)?;
+        positive("train.contact.allowed_depth", allowed_depth)?;
+        not_negative("train.contact.load", load)?;
+        let layering = &self.finetune.layering;
+        not_negative("finetune.layering.margin", layering.margin)?;
+        not_negative("finetune.layering.reach", layering.reach)?;
+        not_negative("finetune.layering.weight", layering.weight)?;
+        not_negative("optimise.force_balance.regularisation", self.optimise.force_balance.regularisation)?;
+        not_negative("evaluate.penetration_m", self.evaluate.penetration_m)?;
+        not_negative("animate.push_out_m", self.animate.push_out_m)?;
         positive("finetune.learning_rate", self.finetune.learning_rate)?;
         let factor = self.optimise.force_balance.largest_factor;
         if factor.is_nan() || factor < 1.0 {
@@ -483,20 +586,16 @@ impl Config {
 }
 
 /// Line and column of the TOML parser's error, or of the key it names when a plugin's table lost its place.
-fn parse_error(path: &Path, text: &str, error: &toml::de::Error) -> Error {
-    let message = error.message().to_string();
+///
+/// `from` is where the table stands whose place was lost.
+fn parse_error(path: &Path, text: &str, error: &toml::de::Error, from: usize) -> Error {
+    let message = error.message().trim().to_string();
     let named = message
         .strip_prefix("unknown field `")
         .or_else(|| message.strip_prefix("unknown variant `"))
         .and_then(|rest| rest.split('`').next());
-    let span = error.span().map(|s| s.start);
-    let place = named
-        .and_then(|name| {
-            let from = span.unwrap_or(0);
-            find_word(text, name, from).or_else(|| find_word(text, name, 0))
-        })
-        .or(span)
-        .unwrap_or(0);
+    let from = error.span().map_or(from, |s| s.start);
+    let place = named.and_then(|name| find_word(text, name, from).or_else(|| find_word(text, name, 0))).unwrap_or(from);
     let before = &text[..place.min(text.len())];
     let line = before.matches('\n').count() + 1;
     let column = before.rsplit('\n').next().map_or(0, |l| l.chars().count()) + 1;

@@ -68,15 +68,21 @@ impl Run {
     pub fn all(mut self) -> Result<Summary> {
         let c = serde_json::to_value(&self.config)
             .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
-        let part = |names: &[&str]| -> Vec<serde_json::Value> {
-            names.iter().map(|n| c.get(*n).cloned().unwrap_or_default()).collect()
+        // Parts of the configuration by their dotted paths.
+        let part = |paths: &[&str]| -> Vec<serde_json::Value> {
+            paths.iter().map(|path| path.split('.').fold(&c, |value, name| &value[name]).clone()).collect()
         };
+        self.config.check_files(&self.files)?;
 
         let scans = match &self.config.subject {
             SubjectConfig::Synthetic(synthetic) => {
                 let synthetic = synthetic.clone();
                 let key = part(&["subject", "body"]);
-                self.stage("synth", &key, "", |cx| stage::synth::run(cx, &synthetic))?.0
+                let mut scans = self.stage("synth", &key, "", |cx| stage::synth::run(cx, &synthetic))?.0;
+                for scan in &mut scans.list {
+                    scan.path = self.folder.join(&scan.path);
+                }
+                scans
             }
             SubjectConfig::Scans(scans) => {
                 let scans = scans.clone();
@@ -85,7 +91,9 @@ impl Run {
         };
         let scan_hash = stage::hash_scans(&scans)?;
 
-        let key = part(&["body", "segmenter", "views", "registration", "upper", "lower"]);
+        // No fabric yet: another one must not cost another registration.
+        let templates = ["upper.styles", "upper.resolution_m", "lower.styles", "lower.resolution_m"];
+        let key = part(&[&["body", "segmenter", "views", "registration"][..], &templates].concat());
         let (subject, subject_hash) =
             self.stage("preprocess", &key, &scan_hash, |cx| stage::preprocess::run(cx, &scans))?;
 
@@ -96,7 +104,7 @@ impl Run {
         })?;
         let mut fabrics = Vec::new();
         for alternation in 0..self.config.optimise.alternations {
-            let key = part(&["upper", "lower", "body", "train", "optimise"]);
+            let key = part(&["upper", "lower", "body", "net", "train", "optimise"]);
             let (name, again) = stage::alternation_names(alternation);
             let (estimate, estimate_hash) =
                 self.stage(name, &key, &hash, |cx| stage::optimise::run(cx, &subject, &nets))?;
@@ -106,15 +114,15 @@ impl Run {
             (nets, hash) = self.stage(again, &key, &estimate_hash, |cx| stage::train::run(cx, &subject, &start))?;
             fabrics.push(estimate);
         }
-        let key = part(&["body", "motion", "train", "finetune"]);
+        let key = part(&["upper", "lower", "body", "net", "motion", "train", "finetune"]);
         let (avatar, avatar_hash) =
             self.stage("finetune", &key, &hash, |cx| stage::finetune::run(cx, &subject, &nets))?;
 
-        let key = part(&["body", "motion", "evaluate", "train", "finetune", "net"]);
+        let key = part(&["upper", "lower", "body", "net", "motion", "train", "finetune", "evaluate", "subject"]);
         let (scores, scores_hash) = self.stage("evaluate", &key, &avatar_hash, |cx| {
             stage::evaluate::run(cx, &subject, &nets, &avatar, &fabrics, &scans)
         })?;
-        let key = part(&["body", "animate", "motion"]);
+        let key = part(&["body", "net", "motion.fps", "animate", "evaluate.penetration_m"]);
         let (film, film_hash) =
             self.stage("animate", &key, &avatar_hash, |cx| stage::animate::run(cx, &subject, &avatar))?;
         let (exported, export_hash) =
@@ -131,7 +139,8 @@ impl Run {
             exported: &exported.files,
             timings: &timings,
         };
-        let upstream = format!("{scores_hash}{export_hash}{scan_hash}");
+        // The list of exported files says nothing of what is in them, so that the report looks at the film, too.
+        let upstream = format!("{subject_hash}{hash}{scores_hash}{film_hash}{export_hash}{scan_hash}");
         self.stage("report", &part(&["run"]), &upstream, |cx| stage::report::run(cx, &inputs))?;
         Ok(Summary { folder: self.folder, ran: self.ran, table: scores.table() })
     }

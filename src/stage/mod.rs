@@ -69,7 +69,7 @@ pub trait StageOutput: Serialize + DeserializeOwned {
 pub struct ScanFile {
     /// The file's stem.
     pub name: String,
-    /// Where it is.
+    /// Where it is; of a generated scan relative to the run directory, so that the artifact says the same wherever that is.
     pub path: PathBuf,
     /// Kept for evaluation: no stage before it learns shape, template, fabric or net from it.
     pub held_out: bool,
@@ -97,6 +97,13 @@ pub fn scan_list(files: &ProjectFiles, config: &ScansConfig) -> Result<Scans> {
     for path in paths {
         let name = path.file_stem().unwrap_or_default().to_string_lossy().to_string();
         let held_out = config.held_out.contains(&name);
+        if let Some(ScanFile { path: other, .. }) = list.iter().find(|s: &&ScanFile| s.name == name) {
+            return Err(Error::config(
+                "subject.folder",
+                format!("{} and {} are both scan `{name}`", other.display(), path.display()),
+                "rename or move one of them",
+            ));
+        }
         list.push(ScanFile { name, path, held_out });
     }
     if let Some(missing) = config.held_out.iter().find(|h| !list.iter().any(|s| &s.name == *h)) {

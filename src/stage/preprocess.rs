@@ -1,6 +1,6 @@
 //! From scans to labels, a naked body under the clothes, and garment templates (Sec. 3.1).
 
-use super::{Context, Scans, StageOutput, read_scan};
+use super::{Context, ScanFile, Scans, StageOutput, read_scan};
 use crate::config::{Config, GarmentConfig, MaterialTable};
 use crate::fixed_shape::FixedShape;
 use crate::garment::FittedGarment;
@@ -122,6 +122,7 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     for (i, file) in scans.list.iter().enumerate() {
         progress.set(0.3 * i as f64 / count, &format!("labels of {}", file.name));
         let scan = read_scan(file)?;
+        check_size(file, &scan)?;
         let fusion = label_scan(&scan, &*segmenter, &settings)?;
         let agreement = scan.labels.as_ref().map(|stored| {
             let same = stored.iter().zip(&fusion.labels).filter(|(a, b)| a == b).count();
@@ -209,6 +210,20 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     Ok(subject)
 }
 
+/// Largest extents that a standing, sitting or stretched person's scan can have [m]: a small child to a tall adult.
+const PERSON: (f64, f64) = (0.5, 3.0);
+
+/// Refuses scans in other units before they are fitted: nothing later would say so.
+fn check_size(file: &ScanFile, scan: &Scan) -> Result<()> {
+    let Some((low, high)) = scan.mesh.bounds() else { return Ok(()) };
+    let size = (high - low).max();
+    if (PERSON.0..=PERSON.1).contains(&size) {
+        return Ok(());
+    }
+    let problem = format!("the scan measures {size:.3} m, a person {} to {} m", PERSON.0, PERSON.1);
+    Err(Error::format(&file.path, "positions", problem, "write it in metres, and the person alone"))
+}
+
 /// The template of one garment: the best of the sampled styles, refined.
 fn choose(
     context: &Context<'_>,
@@ -231,6 +246,14 @@ fn choose(
     let weights = &body.describe().weights;
     let pose = |t: &Template| pose_by_nearest_vertex(t, weights, &posed.transforms);
     let (points, _) = standard.points.with_label(label_of(kind));
+    if points.is_empty() {
+        return Err(Error::mesh(
+            &standard.name,
+            "labels",
+            format!("no point belongs to the {kind} garment"),
+            "check the segmenter and the labels of the scan",
+        ));
+    }
     let points = thin(&points, CANDIDATE_POINTS);
     let cover = match kind {
         GarmentKind::Upper => Vec::new(),

@@ -133,7 +133,7 @@ pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
         let file = format!("scans/{name}.ply");
         context.write(&file, &caphy_formats::ply::write_ply(&scan))?;
         let held_out = i + config.held_out >= poses.len();
-        list.push(ScanFile { name, path: context.folder.join(file), held_out });
+        list.push(ScanFile { name, path: file.into(), held_out });
     }
     let garments = at_rest
         .into_iter()

@@ -32,9 +32,10 @@ fn person() -> Scan {
     let posed = body.forward(&BodyParameters::rest(joints, &[])).expect("a posed body");
     let mesh = TriMesh { vertices: posed.vertices, faces: body.describe().faces.clone() };
     let label = |p: &Vec3| match p.y {
-        y if !(-0.8..=0.5).contains(&y) || p.x.abs() > 0.6 => Label::Body,
-        y if y > 0.0 => Label::Upper,
-        _ => Label::Lower,
+        _ if p.x.abs() > 0.6 => Label::Body,
+        -0.8..0.0 => Label::Lower,
+        0.0..0.5 => Label::Upper,
+        _ => Label::Body,
     };
     let labels = mesh.vertices.iter().map(label).collect();
     Scan { name: "anna".into(), colours: Some(vec![[128; 3]; mesh.vertices.len()]), labels: Some(labels), mesh }
@@ -74,6 +75,13 @@ fn held_out_scans_must_exist_and_leave_some() {
     assert_error(&experiment, &["`subject.held_out`", "`berta`", "anna"]);
     experiment.configure(&tiny_on_scans("scans", &["anna"]));
     assert_error(&experiment, &["`subject.folder`", "not held out"]);
+}
+
+#[test]
+fn two_files_of_one_name() {
+    let experiment = with_scan(&write_ply(&tetrahedron()));
+    experiment.write("scans/anna.obj", &write_obj(&tetrahedron().mesh, None).expect("an OBJ"));
+    assert_error(&experiment, &["`subject.folder`", "anna.obj", "anna.ply", "rename"]);
 }
 
 #[test]
@@ -130,7 +138,7 @@ fn scans_that_no_person_can_be_fitted_to() {
     assert_error(&with_scan(&write_ply(&points)), &["`anna`", "0 faces", "triangulated"]);
     assert_error(&with_scan(&write_ply(&tetrahedron())), &["`anna`", "points", "100"]);
     let naked = Scan { labels: Some(vec![Label::Body; person().mesh.vertices.len()]), ..person() };
-    assert_error(&with_scan(&write_ply(&naked)), &["garment", "label", "segmentation"]);
+    assert_error(&with_scan(&write_ply(&naked)), &["`anna`", "upper garment", "labels", "segmenter"]);
 }
 
 #[test]
@@ -138,7 +146,7 @@ fn scans_in_other_units() {
     for factor in [1e3, 1e-3] {
         let mut scan = person();
         scan.mesh.vertices.iter_mut().for_each(|v| *v *= factor);
-        assert_error(&with_scan(&write_ply(&scan)), &["look at"]);
+        assert_error(&with_scan(&write_ply(&scan)), &["anna.ply", "measures", "in metres"]);
     }
 }
 
@@ -153,15 +161,24 @@ fn motion_and_body_that_are_not_there() {
     assert_error(&experiment, &["body.npz"]);
 
     let clip = "type = \"procedural\", kind = \"walk\", seconds = 2";
-    for wrong in
-        ["type = \"amass\", path = \"clip.npz\"", "type = \"asf_amc\", skeleton = \"clip.npz\", path = \"clip.npz\""]
-    {
-        let experiment = with_scan(&write_ply(&person()));
-        experiment.configure(&edited(&config, &[(clip, wrong)]));
-        assert_error(&experiment, &["clip.npz", "cannot read"]);
-        experiment.write("clip.npz", b"neither an archive nor a skeleton");
-        assert_error(&experiment, &["clip.npz"]);
+    let last = "type = \"procedural\", kind = \"walk\", seconds = 1, seed = 11";
+    let amass = "type = \"amass\", path = \"clip.npz\"";
+    let amc = "type = \"asf_amc\", skeleton = \"clip.npz\", path = \"clip.npz\"";
+    for (old, new, key) in [
+        (clip, amass, "motion.clips"),
+        (clip, amc, "motion.clips"),
+        // Read after hours of training: looked for at the start.
+        (last, amass, "animate.clip"),
+        ("[animate]", "[evaluate]\nground_truth = \"clip.npz\"\n\n[animate]", "evaluate.ground_truth"),
+    ] {
+        experiment.configure(&edited(&config, &[(old, new)]));
+        assert_error(&experiment, &[key, "clip.npz", "is not a file"]);
     }
+    experiment.write("clip.npz", b"neither an archive nor a skeleton");
+    experiment.configure(&edited(&config, &[(clip, amass)]));
+    assert_error(&experiment, &["clip.npz"]);
+    experiment.configure(&edited(&config, &[(clip, amc)]));
+    assert_error(&experiment, &["clip.npz"]);
 }
 
 #[test]

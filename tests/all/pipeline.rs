@@ -186,12 +186,38 @@ fn a_lost_file_runs_its_stage_alone() {
 }
 
 #[test]
+fn a_run_folder_can_be_moved() {
+    let experiment = Experiment::copy_of(finished(), TINY);
+    std::fs::remove_file(experiment.out().join("scans/scan-01.ply")).expect("a scan");
+    assert_eq!(experiment.run().ran, ["synth"], "another folder's scans are not this one's");
+    // Relative paths mean the same folder.
+    let output = Command::new(env!("CARGO_BIN_EXE_caphy"))
+        .current_dir(experiment.folder.path())
+        .args(["run", "experiment.toml"])
+        .output()
+        .expect("the program ends");
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("Nothing to do"), "{said}{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
 fn a_changed_section_runs_what_depends_on_it() {
-    let config = edited(TINY, &[("seconds = 1, seed = 11 }", "seconds = 0.5, seed = 12 }")]);
+    let config = edited(TINY, &[("seed = 11 }", "seed = 12 }")]);
     let experiment = Experiment::copy_of(finished(), &config);
     assert_eq!(experiment.run().ran, ["animate", "export", "report"]);
-    experiment.configure(&edited(&config, &[("[animate]", "[evaluate]\npenetration_m = 2e-3\n\n[animate]")]));
-    assert_eq!(experiment.run().ran, ["evaluate", "report"]);
+    // The limit of penetrations is counted against while playing, too.
+    let config = edited(&config, &[("[animate]", "[evaluate]\npenetration_m = 1e-2\n\n[animate]")]);
+    experiment.configure(&config);
+    assert_eq!(experiment.run().ran, ["evaluate", "animate", "export", "report"]);
+    experiment.configure(&edited(&config, &[("epochs = 6", "epochs = 2")]));
+    assert_eq!(experiment.run().ran, ["finetune", "evaluate", "animate", "export", "report"]);
+}
+
+#[test]
+fn another_fabric_keeps_the_fitted_body() {
+    let experiment = Experiment::copy_of(finished(), &edited(TINY, &[("navy-sparkle-sweat", "ivory-rib-knit")]));
+    let ran = experiment.run().ran;
+    assert_eq!(ran, STAGES[2..]);
 }
 
 #[test]
@@ -205,7 +231,7 @@ fn one_thread_gives_the_same_bits_as_two() {
 /// Artifacts and files of a run against those of the uninterrupted run on two threads.
 fn assert_same_results(out: &Path) {
     let (expected, got) = (files(finished()), files(out));
-    for stage in STAGES.iter().filter(|s| **s != "synth") {
+    for stage in STAGES {
         let name = format!("{stage}.caphy");
         let content = |folder: &Path| header(&folder.join(&name)).content;
         assert_eq!(content(out), content(finished()), "{name}");

@@ -151,6 +151,11 @@ fn three_clothed_scans_become_an_avatar_that_walks() {
     }
 
     let film: Film = value(&experiment.out(), "animate");
+    // What a file holds counts, not only what it is called.
+    experiment.write("clip.npz", &clip("cmu_35_01_smplh.npz"));
+    assert!(experiment.run().ran.is_empty());
+    experiment.write("clip.npz", &clip("cmu_49_19_smplx.npz"));
+    assert_eq!(experiment.run().ran, ["animate", "export", "report"]);
     assert_eq!(film.clip.poses.len(), 16);
     let walked = film.clip.poses[15].translation - film.clip.poses[0].translation;
     assert!(walked.norm() > 0.5, "in 1 s the walk comes {:.2} m far", walked.norm());
