@@ -141,7 +141,7 @@ impl Run {
         };
         // The list of exported files says nothing of what is in them, so that the report looks at the film, too.
         let upstream = format!("{subject_hash}{hash}{scores_hash}{film_hash}{export_hash}{scan_hash}");
-        self.stage("report", &part(&["run"]), &upstream, |cx| stage::report::run(cx, &inputs))?;
+        self.stage("report", &part(&["run", "upper", "lower"]), &upstream, |cx| stage::report::run(cx, &inputs))?;
         Ok(Summary { folder: self.folder, ran: self.ran, table: scores.table() })
     }
 

@@ -129,7 +129,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Fi
         .map(|((g, frames), (count, deepest))| GarmentFilm {
             kind: g.kind,
             penetrating: count as f64 / (frames.len() * g.mesh.vertices.len()).max(1) as f64,
-            deepest_mm: -1e3 * deepest,
+            deepest_mm: 0.0 - 1e3 * deepest,
             frames: frames.iter().map(|f| f.iter().map(|p| [p.x as f32, p.y as f32, p.z as f32]).collect()).collect(),
         })
         .collect();

@@ -3,9 +3,10 @@
 use super::optimise::Estimates;
 use super::preprocess::{Subject, SubjectScan};
 use super::train::{Nets, config_key};
-use super::{Context, Scans, StageOutput, material};
+use super::{Context, Scans, StageOutput, material, read_scan};
 use crate::inference::{Play, clearance, contacts, play};
 use crate::physics::{Dynamics, Physics};
+use crate::pictures;
 use crate::scene::{Scene, label_of, scan_frames};
 use crate::track::BodyTrack;
 use caphy_core::files::Files;
@@ -18,8 +19,10 @@ use caphy_garment::energy::{BodyState, State};
 use caphy_garment::estimate::reduction;
 use caphy_garment::skinning::Skinner;
 use caphy_garment::template::{GarmentKind, pose_by_weights};
+use caphy_render::Layer;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// All measurements.
@@ -32,9 +35,15 @@ pub struct Scores {
     pub layering: Option<[f64; 2]>,
     /// Fabric against the truth, per garment, where it is known.
     pub fabrics: Vec<FabricScore>,
+    /// Pictures, relative to the run directory.
+    pub pictures: Vec<PathBuf>,
 }
 
-impl StageOutput for Scores {}
+impl StageOutput for Scores {
+    fn files(&self) -> Vec<PathBuf> {
+        self.pictures.clone()
+    }
+}
 
 /// One scan's measurements.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -167,6 +176,7 @@ pub fn run(
             })
         })
         .collect::<Result<_>>()?;
+    let mut worn = Vec::new();
     for (fitted, trained) in subject.garments.iter().zip(&avatar.garments) {
         let shapes = play(fitted, trained, &*context.config.net, &track, Play::Poses)?;
         let visible = scan_frames(context, subject, fitted, training.clone())?.visible;
@@ -192,14 +202,54 @@ pub fn run(
                 skinned_scan_to_garment_mm: without_net.scan_to_garment * 1e3,
                 skinned_garment_to_scan_mm: without_net.garment_to_scan * 1e3,
                 penetrating: deep as f64 / inside.len().max(1) as f64,
-                deepest_mm: -1e3 * inside.iter().copied().fold(0.0, f64::min),
+                deepest_mm: 0.0 - 1e3 * inside.iter().copied().fold(0.0, f64::min),
                 elastic_j: elastic(&physics, fitted, &track, i, &shapes[i])?,
                 skinned_elastic_j: elastic(&physics, fitted, &track, i, &skinned)?,
             });
         }
+        worn.push(shapes);
     }
+    let pictures = draw(context, subject, &scene, scans, &worn)?;
     let layering = layering(context, subject, &scene, nets, avatar)?;
-    Ok(Scores { scans: rows, layering, fabrics: fabric_scores(context, subject, fabrics, scans)? })
+    Ok(Scores { scans: rows, layering, fabrics: fabric_scores(context, subject, fabrics, scans)?, pictures })
+}
+
+/// Scans that are shown beside the avatar.
+const SHOWN: usize = 4;
+
+/// Scan and avatar side by side, held-out scans first. `worn`: vertices per garment and scan [m].
+fn draw(
+    context: &Context<'_>,
+    subject: &Subject,
+    scene: &Scene,
+    scans: &Scans,
+    worn: &[Vec<Vec<Vec3>>],
+) -> Result<Vec<PathBuf>> {
+    let mut order: Vec<usize> = (0..subject.scans.len()).collect();
+    order.sort_by_key(|&i| !subject.scans[i].held_out);
+    let mut cells = Vec::new();
+    for &i in order.iter().take(SHOWN) {
+        let scan = &subject.scans[i];
+        let Some(file) = scans.list.iter().find(|file| file.name == scan.name) else { continue };
+        let surface = read_scan(file)?.mesh;
+        let colours = pictures::label_colours(&scan.points);
+        let bounds = pictures::padded(surface.bounds().unwrap_or((Vec3::zeros(), Vec3::repeat(1.0))));
+        let layer = Layer::per_vertex(&surface, &colours);
+        let name = format!("{}{}", scan.name, if scan.held_out { " held out" } else { "" });
+        cells.push((name, pictures::draw(vec![layer], bounds, &pictures::FRONT)));
+        let posed = scene.body.forward(&scene.subject.posed(&scan.pose))?;
+        let body = TriMesh { vertices: posed.vertices, faces: scene.rest.faces.clone() };
+        let garments = subject
+            .garments
+            .iter()
+            .zip(worn)
+            .map(|(g, shapes)| TriMesh { vertices: shapes[i].clone(), faces: g.mesh.faces.clone() })
+            .collect();
+        let dressed = pictures::Dressed { body: &body, garments };
+        cells.push(("avatar".to_string(), pictures::dressed(&dressed, &pictures::FRONT)));
+    }
+    context.write("pictures/evaluation.png", &pictures::sheet(&cells, 2 * SHOWN)?)?;
+    Ok(vec!["pictures/evaluation.png".into()])
 }
 
 /// Distances between a posed garment and a scan's points of it.

@@ -2,12 +2,13 @@
 
 use super::animate::{Film, strip_frames};
 use super::evaluate::Scores;
-use super::optimise::Estimates;
+use super::optimise::{Estimates, GarmentFabric};
 use super::preprocess::Subject;
-use super::train::Nets;
-use super::{Context, Scans, StageOutput};
+use super::train::{Nets, config_key};
+use super::{Context, Scans, StageOutput, material};
 use crate::plot::{Axes, Curve, escape, lines, number};
 use crate::trainer::CurvePoint;
+use caphy_core::material::{MembraneBlock, MembraneCall};
 use caphy_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -79,14 +80,20 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
     picture(&mut html, "Garment templates", "pictures/templates.png", "The chosen styles on the T-posed body.")?;
     choices(&mut html, inputs);
     curves(&mut html, inputs);
-    fabrics(&mut html, inputs);
+    fabrics(&mut html, context, inputs)?;
     picture(
         &mut html,
         "Animation",
         "pictures/animation.png",
         "Frames of the played clip, from the front and from behind.",
     )?;
-    let _ = write!(html, "<h2>Measurements</h2><pre>{}</pre>", escape(&inputs.scores.table()));
+    picture(
+        &mut html,
+        "Measurements",
+        "pictures/evaluation.png",
+        "Scans and the fine-tuned avatar in their poses, held-out scans first; nothing was pushed out here.",
+    )?;
+    let _ = write!(html, "<pre>{}</pre>", escape(&inputs.scores.table()));
     let files: Vec<String> = inputs.exported.iter().take(12).map(|f| escape(&f.display().to_string())).collect();
     let _ = write!(
         html,
@@ -238,7 +245,36 @@ fn curves(html: &mut String, inputs: &Inputs<'_>) {
     }
 }
 
-fn fabrics(html: &mut String, inputs: &Inputs<'_>) {
+/// Stretches at which fabrics are drawn: the published measurements end at 7/6.
+const STRETCHES: usize = 33;
+
+/// Tension [N/m] over stretch along the yarn axes without lateral strain, before and after Eq. 10.
+fn tension(context: &Context<'_>, subject: &Subject, garment: &GarmentFabric) -> Result<String> {
+    let strains: Vec<f64> = (0..STRETCHES).map(|i| 0.2 * i as f64 / (STRETCHES - 1) as f64).collect();
+    let mut curves = Vec::new();
+    for (when, values) in [("before", &garment.before), ("after", &garment.estimate.parameters)] {
+        let table = subject.material_table(context.config, garment.kind);
+        let model = material(table, config_key(garment.kind), Some(values))?;
+        for (axis, name) in ["u", "v"].iter().enumerate() {
+            let mut green = vec![0.0; 3 * STRETCHES];
+            for (i, e) in strains.iter().enumerate() {
+                green[axis * STRETCHES + i] = e + 0.5 * e * e;
+            }
+            let mut stress = vec![0.0; 3 * STRETCHES];
+            let mut block = MembraneBlock::new(STRETCHES, &green);
+            block.stress = (&mut stress[..]).into();
+            model.membrane(MembraneCall::F64(&mut block))?;
+            // First Piola-Kirchhoff stress P = F S.
+            let pull = |i: usize| (1.0 + strains[i]) * stress[axis * STRETCHES + i];
+            let points = (0..STRETCHES).map(|i| (100.0 * strains[i], pull(i))).collect();
+            curves.push(Curve { name: format!("{name} {when}"), points });
+        }
+    }
+    let title = format!("{}: tension along the yarn axes", garment.kind);
+    Ok(lines(&Axes { title: &title, x: "stretch, %", y: "N/m", log_y: false }, &curves))
+}
+
+fn fabrics(html: &mut String, context: &Context<'_>, inputs: &Inputs<'_>) -> Result<()> {
     html.push_str("<h2>Fabric</h2>");
     if inputs.fabrics.is_empty() {
         html.push_str("<p>Not estimated: as configured.</p>");
@@ -273,8 +309,10 @@ fn fabrics(html: &mut String, inputs: &Inputs<'_>) {
                 ]
             });
             table(html, &["group", "multiplier", "determined by the shapes", ""], rows);
+            html.push_str(&tension(context, inputs.subject, garment)?);
         }
     }
+    Ok(())
 }
 
 #[cfg(test)]
