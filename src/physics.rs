@@ -75,6 +75,14 @@ impl<T: MaterialReal> Physics<T> {
             (&self.attachment, w.attachment),
         ]
     }
+    /// Strain plus bending energy summed over frames [J], unweighted: needs no body.
+    pub fn elastic(&self, positions: &Frames<T>) -> Result<f64> {
+        let state = State::new(positions);
+        let mut energy = vec![0.0; positions.frames()];
+        self.strain.add(&state, 1.0, &mut energy, None)?;
+        self.bending.add(&state, 1.0, &mut energy, None)?;
+        Ok(energy.iter().sum())
+    }
     /// Adds `scale` times the gradient of the *sum* over frames (inertia: scaled so that a mean over transitions weighs like a
     /// mean over frames) and returns mean energies.
     pub fn add(

@@ -5,19 +5,16 @@ use super::preprocess::{Subject, SubjectScan};
 use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material, read_scan};
 use crate::inference::{Play, clearance, contacts, play};
-use crate::physics::{Dynamics, Physics};
+use crate::physics::Physics;
 use crate::pictures;
 use crate::scene::{Scene, label_of, scan_frames};
-use crate::track::BodyTrack;
 use caphy_core::files::Files;
 use caphy_core::lanes::Frames;
 use caphy_core::pose::SMPLX_JOINTS;
 use caphy_core::query::NearestGrid;
 use caphy_core::{Error, Result, TriMesh, Vec3, mesh};
 use caphy_formats::npz::Npz;
-use caphy_garment::energy::{BodyState, State};
 use caphy_garment::estimate::reduction;
-use caphy_garment::skinning::Skinner;
 use caphy_garment::template::{GarmentKind, pose_by_weights};
 use caphy_render::Layer;
 use serde::{Deserialize, Serialize};
@@ -203,8 +200,8 @@ pub fn run(
                 skinned_garment_to_scan_mm: without_net.garment_to_scan * 1e3,
                 penetrating: deep as f64 / inside.len().max(1) as f64,
                 deepest_mm: 0.0 - 1e3 * inside.iter().copied().fold(0.0, f64::min),
-                elastic_j: elastic(&physics, fitted, &track, i, &shapes[i])?,
-                skinned_elastic_j: elastic(&physics, fitted, &track, i, &skinned)?,
+                elastic_j: elastic(&physics, &shapes[i])?,
+                skinned_elastic_j: elastic(&physics, &skinned)?,
             });
         }
         worn.push(shapes);
@@ -299,24 +296,10 @@ fn distances(
 }
 
 /// Strain plus bending energy [J] of one shape.
-fn elastic(
-    physics: &Physics<f64>,
-    fitted: &crate::garment::FittedGarment,
-    track: &BodyTrack,
-    frame: usize,
-    shape: &[Vec3],
-) -> Result<f64> {
+fn elastic(physics: &Physics<f64>, shape: &[Vec3]) -> Result<f64> {
     let mut positions = Frames::zeros(1, shape.len(), 1);
     positions.set_frame(0, 0, shape)?;
-    let (body, normals) = track.gather::<f64>(&[frame], 1);
-    let skinner = Skinner::<f64>::new(&fitted.mesh.vertices, &fitted.weights)?.select(physics.attachment.vertices())?;
-    let mut targets = Frames::zeros(1, skinner.vertex_count(), 1);
-    skinner.forward(&skinner.joint_frames(&track.transforms(&[frame]), 1)?, None, &mut targets)?;
-    let state = State::new(&positions)
-        .with_body(BodyState { positions: &body, normals: &normals, nearest: None })
-        .with_targets(&targets);
-    let energies = physics.add(&state, Dynamics::Static, 1.0, None)?;
-    Ok(energies.iter().filter(|(name, _)| ["strain", "bending"].contains(name)).map(|(_, e)| e).sum())
+    physics.elastic(&positions)
 }
 
 /// True joints of each scan, NaN where one is not known.
