@@ -5,6 +5,7 @@
 //! the vertices that its own joint moves, measured in the T-pose; what it leaves out is contact across limbs (a hand on
 //! a hip), which a penalty on nearest vertices cannot resolve anyway.
 
+use crate::energy::{NoNearest, lane_points, nearest_of_all};
 use caphy_core::body::BlendWeights;
 use caphy_core::lanes::Frames;
 use caphy_core::query::NearestGrid;
@@ -87,36 +88,23 @@ impl ContactMap {
         Error::check_length("body vertices of the contact map", self.body_count, body.vertices())?;
         Error::check_length("body frames of the contact search", garment.frames(), body.frames())?;
         let (lanes, n) = (garment.lanes_used(), garment.vertices());
-        let point = |frames: &Frames<T>, block: usize, lane: usize, v: u32| {
-            let row = &frames.block(block)[v as usize * 3 * T::LANES..][..3 * T::LANES];
-            [row[lane], row[T::LANES + lane], row[2 * T::LANES + lane]]
-        };
         let per_frame: Vec<Result<Vec<u32>>> = (0..garment.frames())
             .into_par_iter()
             .map(|frame| {
                 let (block, lane) = (frame / lanes, frame % lanes);
+                let (cloth, skin) = (lane_points(garment, block, lane), lane_points(body, block, lane));
                 let mut out = vec![0u32; n];
                 for region in &self.regions {
-                    let points: Vec<[T; 3]> = region.body.iter().map(|&b| point(body, block, lane, b)).collect();
-                    let grid = NearestGrid::new(&points);
-                    let mut last: Option<u32> = None;
-                    for &v in &region.garment {
-                        let query = point(garment, block, lane, v);
-                        // Neighbours in the mesh's order are neighbours in space: the last answer bounds this search.
-                        let limit = last.map_or(T::infinity(), |id| {
-                            let p = points[id as usize];
-                            let d: [T; 3] = std::array::from_fn(|k| p[k] - query[k]);
-                            (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) * T::of(1.001) + T::of(1e-12)
-                        });
-                        let Some((id, _)) = grid.nearest_within(&query, limit).or_else(|| grid.nearest(&query)) else {
-                            let [x, y, z] = query;
-                            return Err(Error::numerics(
-                                "contact search",
-                                format!("garment vertex {v} of step {block}, window {lane} is at ({x}, {y}, {z})"),
-                                "go back to the last good state with a smaller step",
-                            ));
-                        };
-                        last = Some(id);
+                    let points: Vec<[T; 3]> = region.body.iter().map(|&b| skin[b as usize]).collect();
+                    let queries: Vec<[T; 3]> = region.garment.iter().map(|&v| cloth[v as usize]).collect();
+                    let found = nearest_of_all(&NearestGrid::new(&points), &points, &queries).map_err(|e| match e {
+                        // The search counts within its region, people count within the garment.
+                        NoNearest::Query(i, at) => {
+                            NoNearest::Query(region.garment[i] as usize, at).into_error(block, lane)
+                        }
+                        empty => empty.into_error(block, lane),
+                    })?;
+                    for (&v, id) in region.garment.iter().zip(found) {
                         out[v as usize] = region.body[id as usize];
                     }
                 }

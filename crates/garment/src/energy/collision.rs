@@ -169,13 +169,13 @@ pub fn nearest_body_vertices<T: Real>(garment: &Frames<T>, body: &Frames<T>) -> 
 }
 
 /// One frame as arrays [m].
-pub(super) fn lane_points<T: Real>(frames: &Frames<T>, block: usize, lane: usize) -> Vec<[T; 3]> {
+pub(crate) fn lane_points<T: Real>(frames: &Frames<T>, block: usize, lane: usize) -> Vec<[T; 3]> {
     let l = T::LANES;
     frames.block(block).chunks_exact(3 * l).map(|row| [row[lane], row[l + lane], row[2 * l + lane]]).collect()
 }
 
 /// Why a nearest point could not be found.
-pub(super) enum NoNearest<T> {
+pub(crate) enum NoNearest<T> {
     /// The set of points is empty.
     Empty,
     /// A query is not finite.
@@ -183,7 +183,7 @@ pub(super) enum NoNearest<T> {
 }
 
 impl<T: Real> NoNearest<T> {
-    pub(super) fn into_error(self, block: usize, lane: usize) -> Error {
+    pub(crate) fn into_error(self, block: usize, lane: usize) -> Error {
         match self {
             Self::Empty => Error::mesh(
                 "points to search",
@@ -202,7 +202,7 @@ impl<T: Real> NoNearest<T> {
 
 /// Nearest point of each query. The answer of the query before bounds the search: neighbours in a mesh's order are usually
 /// neighbours in space.
-pub(super) fn nearest_of_all<T: Real>(
+pub(crate) fn nearest_of_all<T: Real>(
     grid: &NearestGrid<T>,
     points: &[[T; 3]],
     queries: &[[T; 3]],

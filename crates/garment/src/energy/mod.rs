@@ -19,6 +19,7 @@ pub use attachment::Attachment;
 pub use bending::{Bending, RestAngle};
 pub use chamfer::{Chamfer, ScanCloud};
 pub use collision::{Collision, ContactOptions, nearest_body_vertices};
+pub(crate) use collision::{NoNearest, lane_points, nearest_of_all};
 pub use gravity::Gravity;
 pub use inertia::{Inertia, InertiaRule};
 pub use layering::{Layer, Layering, LayeringOptions, LayeringOrder};
