@@ -95,6 +95,14 @@ pub enum Error {
         /// The plugin.
         by: String,
     },
+    /// A loaded library broke the plugin contract.
+    #[error("plugin {library}: {problem}", library = library.display())]
+    Plugin {
+        /// The library's file.
+        library: PathBuf,
+        /// What is wrong and what to do.
+        problem: PluginProblem,
+    },
     /// A computation could not be finished.
     #[error("{what}: {problem}; {remedy}")]
     Numerics {
@@ -104,6 +112,78 @@ pub enum Error {
         problem: String,
         /// What the user can do.
         remedy: String,
+    },
+}
+
+/// How a loaded library can break the plugin contract.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PluginProblem {
+    /// The system's loader refuses the file.
+    #[error("not a library that this machine can load ({reason}); give the path of a built .so, .dylib or .dll")]
+    NotALibrary {
+        /// The loader's answer.
+        reason: String,
+    },
+    /// A library, but not a plugin.
+    #[error("has no symbol `{symbol}`, so it is no caphy plugin; export it with `export_plugin!` or `caphy_plugin.h`")]
+    MissingSymbol {
+        /// The symbol that was looked for.
+        symbol: String,
+    },
+    /// Built against another version of the interface.
+    #[error(
+        "speaks version {got} of the plugin interface, this program version {expected}; build it against this version"
+    )]
+    AbiVersion {
+        /// The library's version.
+        got: u32,
+        /// This program's version.
+        expected: u32,
+    },
+    /// The code of the plugin panicked; the panic was stopped at the border.
+    #[error("`{type_name}` panicked in {call}: {message}; report it to the plugin's author")]
+    Panic {
+        /// The plugin's `type` name.
+        type_name: String,
+        /// The call that panicked.
+        call: String,
+        /// The panic's message.
+        message: String,
+    },
+    /// An answer that contradicts the interface: a wrong length, a null pointer, text that is not UTF-8.
+    #[error("`{type_name}` gave a malformed answer to {call}: {what}; report it to the plugin's author")]
+    Malformed {
+        /// The plugin's `type` name.
+        type_name: String,
+        /// The call.
+        call: String,
+        /// What is wrong, with the values.
+        what: String,
+    },
+    /// An error of the plugin's own.
+    #[error("`{type_name}` failed in {call}: {message}")]
+    Failed {
+        /// The plugin's `type` name.
+        type_name: String,
+        /// The call.
+        call: String,
+        /// The plugin's words.
+        message: String,
+    },
+    /// Two sources offer the same type.
+    #[error("offers `{type_name}`, which {other} offers already; rename one of the two")]
+    Duplicate {
+        /// The name.
+        type_name: String,
+        /// Who has it.
+        other: String,
+    },
+    /// Loaded after a configuration was read, which could not know its types.
+    #[error("loaded after {read} was read, whose types are settled by then; load plugins first")]
+    TooLate {
+        /// What was read before.
+        read: String,
     },
 }
 
@@ -141,6 +221,10 @@ impl Error {
     /// An [`Error::Unsupported`].
     pub fn unsupported(what: impl Into<String>, by: impl Into<String>) -> Self {
         Self::Unsupported { what: what.into(), by: by.into() }
+    }
+    /// An [`Error::Plugin`].
+    pub fn plugin(library: impl Into<PathBuf>, problem: PluginProblem) -> Self {
+        Self::Plugin { library: library.into(), problem }
     }
     /// `Ok` when `got == expected`, else an [`Error::Length`].
     pub fn check_length(what: &str, expected: usize, got: usize) -> Result<()> {

@@ -24,7 +24,7 @@ pub mod segmenter;
 pub mod simd;
 pub mod units;
 
-pub use error::{Error, Result};
+pub use error::{Error, PluginProblem, Result};
 pub use mesh::TriMesh;
 pub use simd::Real;
 

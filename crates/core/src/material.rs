@@ -94,6 +94,25 @@ block_checks!(HingeBlock { angle: 1, angle_rest: 1, length: 1, area: 1, directio
     stiffness: |_| 1, stiffness_by_angle: |_| 1, stiffness_by_length: |_| 1, stiffness_by_parameter: |p| p
 });
 
+impl<'a, T> HingeBlock<'a, T> {
+    /// A block with no output wanted; arrays as in the fields.
+    pub fn new(count: usize, [angle, angle_rest, length, area]: [&'a [T]; 4], directions: [&'a [T]; 2]) -> Self {
+        Self {
+            count,
+            angle: angle.into(),
+            angle_rest: angle_rest.into(),
+            length: length.into(),
+            area: area.into(),
+            direction0: directions[0].into(),
+            direction1: directions[1].into(),
+            stiffness: Out::absent(),
+            stiffness_by_angle: Out::absent(),
+            stiffness_by_length: Out::absent(),
+            stiffness_by_parameter: Out::absent(),
+        }
+    }
+}
+
 impl<'a, T> MembraneBlock<'a, T> {
     /// A block with no output wanted.
     pub fn new(count: usize, green: &'a [T]) -> Self {
@@ -200,6 +219,62 @@ pub struct MaterialDescription {
     pub hinge_length: HingeLength,
     /// Whether energy and stress are linear in the parameters where no clamp is active (Eq. 10 as least squares).
     pub linear_in_parameters: bool,
+    /// Which optional outputs are answered; asking for another one is [`Error::Unsupported`].
+    pub offers: MaterialOutputs,
+}
+
+/// The outputs beyond energy, stress and bending stiffness, which every material answers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MaterialOutputs {
+    /// [`MembraneBlock::tangent_held`].
+    pub tangent_held: bool,
+    /// [`MembraneBlock::tangent_total`].
+    pub tangent_total: bool,
+    /// [`MembraneBlock::stress_by_parameter`] and [`HingeBlock::stiffness_by_parameter`].
+    pub by_parameter: bool,
+    /// [`MembraneBlock::stiffness`]: the model has four orthotropic constants.
+    pub stiffness: bool,
+    /// [`HingeBlock::stiffness_by_angle`] and [`HingeBlock::stiffness_by_length`].
+    pub hinge_slopes: bool,
+}
+
+impl MaterialOutputs {
+    /// Everything.
+    pub const ALL: Self =
+        Self { tangent_held: true, tangent_total: true, by_parameter: true, stiffness: true, hinge_slopes: true };
+    /// Nothing beyond what is required.
+    pub const REQUIRED: Self =
+        Self { tangent_held: false, tangent_total: false, by_parameter: false, stiffness: false, hinge_slopes: false };
+
+    /// `Ok` when a membrane block asks for nothing else, else [`Error::Unsupported`] naming the output and `by`.
+    pub fn check_membrane<T>(&self, block: &MembraneBlock<'_, T>, by: &str) -> Result<()> {
+        Self::refuse(
+            by,
+            [
+                ("tangent_held", block.tangent_held.wanted() && !self.tangent_held),
+                ("tangent_total", block.tangent_total.wanted() && !self.tangent_total),
+                ("stress_by_parameter", block.stress_by_parameter.wanted() && !self.by_parameter),
+                ("stiffness (four orthotropic constants)", block.stiffness.wanted() && !self.stiffness),
+            ],
+        )
+    }
+    /// As [`MaterialOutputs::check_membrane`], for hinges.
+    pub fn check_hinge<T>(&self, block: &HingeBlock<'_, T>, by: &str) -> Result<()> {
+        Self::refuse(
+            by,
+            [
+                ("stiffness_by_angle", block.stiffness_by_angle.wanted() && !self.hinge_slopes),
+                ("stiffness_by_length", block.stiffness_by_length.wanted() && !self.hinge_slopes),
+                ("stiffness_by_parameter", block.stiffness_by_parameter.wanted() && !self.by_parameter),
+            ],
+        )
+    }
+    fn refuse<const N: usize>(by: &str, wanted: [(&str, bool); N]) -> Result<()> {
+        match wanted.into_iter().find(|w| w.1) {
+            None => Ok(()),
+            Some((output, _)) => Err(Error::unsupported(output, by)),
+        }
+    }
 }
 
 /// A fabric: energy density and stress from Green strain (Eqs. 3-5), bending stiffness from fold and curvature (Eq. 7).

@@ -170,6 +170,20 @@ pub enum BackwardCall<'b, 'a> {
     F64(&'b mut BackwardBlock<'a, f64>),
 }
 
+/// What a net answers beyond a single-precision pass; asking for the rest is [`Error::Unsupported`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NetOffers {
+    /// Passes in double precision.
+    pub double: bool,
+    /// [`BackwardBlock::feature_gradient`].
+    pub feature_gradient: bool,
+}
+
+impl NetOffers {
+    /// Everything.
+    pub const ALL: Self = Self { double: true, feature_gradient: true };
+}
+
 /// dV(θ) of Eq. 2: a function of pose features with carried state.
 ///
 /// # Promise
@@ -185,6 +199,10 @@ pub enum BackwardCall<'b, 'a> {
 pub trait DeformationNet: Send + Sync {
     /// Sizes and parameter layout.
     fn manifest(&self) -> &NetManifest;
+    /// Which optional passes are answered. Default: all.
+    fn offers(&self) -> NetOffers {
+        NetOffers::ALL
+    }
     /// First values of the flat parameters from a seed. The last layer is zero, so that training starts from the skinned
     /// template.
     fn initialise(&self, seed: u64) -> Vec<f64>;

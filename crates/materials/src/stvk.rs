@@ -3,7 +3,8 @@
 use crate::bounds::{LARGEST_STIFFNESS, bounded};
 use crate::chunk::{clamp, strain_limit};
 use caphy_core::material::{
-    HingeBlock, HingeCall, HingeLength, MaterialDescription, MaterialModel, MaterialSpec, MembraneBlock, MembraneCall,
+    HingeBlock, HingeCall, HingeLength, MaterialDescription, MaterialModel, MaterialOutputs, MaterialSpec,
+    MembraneBlock, MembraneCall,
 };
 use caphy_core::params::{Parameter, check_values};
 use caphy_core::units::{KilogramPerSquareMetre, Metre, NewtonMetre, NewtonPerMetre, Pascal};
@@ -294,6 +295,7 @@ impl MaterialModel for MaterialStvk {
             stiffness_frozen: false,
             hinge_length: self.hinge_length,
             linear_in_parameters: true,
+            offers: MaterialOutputs::ALL,
         }
     }
     fn membrane(&self, call: MembraneCall<'_, '_>) -> Result<()> {

@@ -3,7 +3,8 @@
 #![allow(dead_code)]
 
 use caphy_core::material::{
-    HingeBlock, HingeCall, HingeLength, MaterialDescription, MaterialModel, MembraneBlock, MembraneCall,
+    HingeBlock, HingeCall, HingeLength, MaterialDescription, MaterialModel, MaterialOutputs, MembraneBlock,
+    MembraneCall,
 };
 use caphy_core::params::Parameter;
 use caphy_core::{Error, Real, Result};
@@ -87,6 +88,7 @@ impl MaterialModel for Fabric {
             stiffness_frozen: false,
             hinge_length: self.length,
             linear_in_parameters: true,
+            offers: MaterialOutputs::REQUIRED,
         }
     }
     fn membrane(&self, call: MembraneCall<'_, '_>) -> Result<()> {

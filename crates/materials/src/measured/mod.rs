@@ -19,7 +19,7 @@ pub use parameters::PARAMETERS;
 pub use spec::{BendingLookup, EdgeLength, Form, MaterialMeasuredSpec, StiffnessGradient, StretchLookup};
 
 use bending::{BendCurves, hinge_by_table};
-use caphy_core::material::{HingeCall, HingeLength, MaterialDescription, MaterialModel, MembraneCall};
+use caphy_core::material::{HingeCall, HingeLength, MaterialDescription, MaterialModel, MaterialOutputs, MembraneCall};
 use caphy_core::params::{Parameter, check_values};
 use caphy_core::units::KilogramPerSquareMetre;
 use caphy_core::{Error, Result};
@@ -112,6 +112,7 @@ impl MaterialModel for MaterialMeasured {
                 EdgeLength::Current => HingeLength::CurrentHeld,
             },
             linear_in_parameters: true,
+            offers: MaterialOutputs::ALL,
         }
     }
 
