@@ -3,7 +3,6 @@
 use crate::raster::Image;
 use caphy_core::segmenter::NO_TRIANGLE;
 use caphy_core::{Error, Result};
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 
 /// An 8-bit sRGB picture, row by row from the top.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -61,9 +60,12 @@ pub fn png(picture: &Rgb) -> Result<Vec<u8>> {
         return Err(cannot("it has no pixels".into()));
     }
     let mut bytes = Vec::new();
-    PngEncoder::new(&mut bytes)
-        .write_image(picture.pixels.as_flattened(), width, height, ExtendedColorType::Rgb8)
-        .map_err(|e| cannot(e.to_string()))?;
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header().map_err(|e| cannot(e.to_string()))?;
+    writer.write_image_data(picture.pixels.as_flattened()).map_err(|e| cannot(e.to_string()))?;
+    writer.finish().map_err(|e| cannot(e.to_string()))?;
     Ok(bytes)
 }
 
@@ -75,9 +77,12 @@ mod tests {
     fn png_reads_back() {
         let mut picture = Rgb::filled(5, 3, [10, 20, 30]);
         picture.paste(&Rgb::filled(3, 3, [200, 0, 0]), 4, 1);
-        let read = image::load_from_memory(&png(&picture).unwrap()).unwrap().to_rgb8();
-        assert_eq!((read.width(), read.height()), (5, 3));
-        assert_eq!(read.as_raw().as_slice(), picture.pixels.as_flattened());
+        let bytes = png(&picture).unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(&bytes)).read_info().unwrap();
+        let mut read = vec![0; 5 * 3 * 3];
+        let info = reader.next_frame(&mut read).unwrap();
+        assert_eq!((info.width, info.height, info.color_type), (5, 3, png::ColorType::Rgb));
+        assert_eq!(read, picture.pixels.as_flattened());
         assert_eq!(picture.pixels[9], [200, 0, 0]);
         assert_eq!(picture.pixels[8], [10, 20, 30]);
     }
