@@ -5,19 +5,19 @@
 
 use caphy::config::TrainConfig;
 use caphy::garment::FittedGarment;
+use caphy::plugins::{Kind, PluginTable, Plugins};
 use caphy::track::{BodyTrack, Reach};
 use caphy::trainer::{Batch, GarmentLearner, MotionFrames, ScanFrames, untrained};
 use caphy_bodymodel::BodyMannequin;
 use caphy_bodymodel::procedural_motion::{MotionKind, procedural_clip};
 use caphy_core::Vec3;
 use caphy_core::body::{BodyModel, BodyParameters};
-use caphy_core::material::MaterialSpec;
-use caphy_core::net::NetSpec;
 use caphy_garment::energy::ScanCloud;
 use caphy_garment::skinning::{WeightOptions, garment_weights};
 use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
+use std::path::Path;
 use std::sync::Arc;
 
 fn training_step(c: &mut Criterion) {
@@ -59,19 +59,20 @@ fn training_step(c: &mut Criterion) {
     let cloud = ScanCloud::new("bench", &[Vec3::zeros()]).expect("a cloud");
     let scans = ScanFrames { track: scan_track, clouds: vec![cloud], visible: vec![true; shirt.mesh.vertices.len()] };
     let config = TrainConfig::default();
-    let net: Box<dyn NetSpec> = toml::from_str("type = \"gru\"").expect("a net");
-    let first = untrained(&shirt, body.describe(), &*net, &config, &motion, &scans.track, 1).expect("an untrained net");
+    let (plugins, path) = (Plugins::new().expect("linked plugins"), Path::new("bench.toml"));
+    let net = PluginTable::parse(&plugins, Kind::Net, path, "type = \"gru\"").expect("a net");
+    let first = untrained(&shirt, body.describe(), &net, &config, &motion, &scans.track, 1).expect("an untrained net");
     let batch =
         Batch { frames: (0..5).flat_map(|t| (0..16).map(move |w| 7 * w + t)).collect(), windows: 16, scans: false };
     for (material, table) in [
         ("stvk", "type = \"stvk\"\nyoung_pa = 0.7e5\npoisson = 0.485\nthickness_m = 0.47e-3\ndensity_kg_per_m2 = 0.2"),
         ("measured", "type = \"measured\"\nfabric = \"gray-interlock\""),
     ] {
-        let spec: Box<dyn MaterialSpec> = toml::from_str(table).expect("a material");
-        let model: Arc<_> = Arc::from(spec.build().expect("a material"));
+        let table = PluginTable::parse(&plugins, Kind::Material, path, table).expect("a material's table");
+        let model: Arc<_> = Arc::from(table.material("material").expect("a material"));
         let contact = reach.contact(&rest_mesh, &shirt).expect("a contact map");
         let mut learner =
-            GarmentLearner::new(&shirt, &first, model, &*net, &config, &motion, &scans, contact).expect("a learner");
+            GarmentLearner::new(&shirt, &first, model, &net, &config, &motion, &scans, contact).expect("a learner");
         for threads in [1, std::thread::available_parallelism().map_or(1, usize::from)] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
             let mut group = c.benchmark_group(format!("{material}, {threads} threads"));

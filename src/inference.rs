@@ -1,10 +1,11 @@
 //! Playing a trained garment: a whole clip with carried state, or single poses.
 
 use crate::garment::{FittedGarment, TrainedGarment};
+use crate::plugins::PluginTable;
 use crate::track::BodyTrack;
-use caphy_core::array::{In, Out};
+use caphy_core::extension::DeformationNetExt;
 use caphy_core::lanes::Frames;
-use caphy_core::net::{DeformationNet, ForwardBlock, ForwardCall, NetSpec};
+use caphy_core::net::DeformationNet;
 use caphy_core::query::NearestGrid;
 use caphy_core::{Error, Real, Result, TriMesh, Vec3};
 use caphy_garment::contact::ContactMap;
@@ -23,12 +24,12 @@ pub enum Play {
 pub fn play(
     garment: &FittedGarment,
     trained: &TrainedGarment,
-    spec: &dyn NetSpec,
+    spec: &PluginTable,
     track: &BodyTrack,
     how: Play,
 ) -> Result<Vec<Vec<Vec3>>> {
     let outputs = 3 * garment.mesh.vertices.len();
-    let net = spec.build(trained.features.count(), outputs)?;
+    let net = spec.net(trained.features.count(), outputs)?;
     if *net.manifest() != trained.manifest {
         return Err(Error::config(
             "net",
@@ -45,7 +46,7 @@ pub fn play(
             state.fill(0.0);
         }
         let features: Vec<f32> = trained.features.frame(&track.poses[frame], previous, 1.0 / trained.fps)?;
-        let displacement = displacement(&*net, trained, &features, &mut state, outputs)?;
+        let displacement = displacement(&*net, trained, &features, &mut state)?;
         let joints = skinner.joint_frames(&track.transforms(&[frame]), 1)?;
         let mut posed = Frames::zeros(1, garment.mesh.vertices.len(), 1);
         skinner.forward(&joints, Some(&displacement), &mut posed)?;
@@ -60,24 +61,9 @@ fn displacement(
     net: &dyn DeformationNet,
     trained: &TrainedGarment,
     features: &[f32],
-    state: &mut Vec<f32>,
-    outputs: usize,
+    state: &mut [f32],
 ) -> Result<Vec<f32>> {
-    let mut displacement = vec![0.0f32; outputs];
-    let mut after = vec![0.0f32; state.len()];
-    let carries = !state.is_empty();
-    let mut block = ForwardBlock {
-        steps: 1,
-        batch: 1,
-        parameters: (&trained.parameters[..]).into(),
-        features: features.into(),
-        state_before: if carries { (&state[..]).into() } else { In::absent() },
-        output: (&mut displacement[..]).into(),
-        state_after: if carries { (&mut after[..]).into() } else { Out::absent() },
-        tape: Out::absent(),
-    };
-    net.forward(ForwardCall::F32(&mut block))?;
-    *state = after;
+    let mut displacement = net.frame(&trained.parameters, features, state)?;
     displacement.iter_mut().for_each(|d| *d *= trained.output_scale_m as f32);
     Ok(displacement)
 }

@@ -1,5 +1,8 @@
 //! The `caphy` program.
 
+mod command;
+
+use caphy::plugins::Plugins;
 use caphy_core::{Error, Result};
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
@@ -12,6 +15,9 @@ struct Cli {
     /// Number of threads; results are the same bits for any number. Default: all cores.
     #[arg(long, global = true)]
     threads: Option<usize>,
+    /// Library with types of your own, loaded before anything is read; may be given several times.
+    #[arg(long, global = true, value_name = "LIBRARY")]
+    plugin: Vec<PathBuf>,
     #[command(subcommand)]
     command: Command,
 }
@@ -20,18 +26,18 @@ struct Cli {
 enum Command {
     /// Run every stage of an experiment, from scans to report; finished stages are not run again.
     #[command(after_help = "Example:\n  caphy run configs/quickstart.toml")]
-    Run {
-        /// The experiment's TOML file.
-        config: PathBuf,
-        /// Folder of the results, instead of the file's `run.out`.
-        #[arg(long)]
-        out: Option<PathBuf>,
-    },
+    Run(command::run::Arguments),
+    /// Show what caphy has or reads, as tables and pictures.
+    #[command(subcommand)]
+    Show(command::show::What),
+    /// Ask a material for its answers to deformation gradients or folds.
+    #[command(after_help = command::probe::EXAMPLES)]
+    Probe(command::probe::Arguments),
 }
 
 fn main() -> ExitCode {
     match run(&Cli::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             eprintln!("error: {error}");
             ExitCode::FAILURE
@@ -39,26 +45,20 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(cli: &Cli) -> Result<()> {
+fn run(cli: &Cli) -> Result<ExitCode> {
     if let Some(threads) = cli.threads {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
         pool.map_err(|e| {
             Error::config("--threads", e.to_string(), "give a number of threads that the machine can start")
         })?;
     }
+    let mut plugins = Plugins::new()?;
+    for library in &cli.plugin {
+        plugins.load(library)?;
+    }
     match &cli.command {
-        Command::Run { config, out } => {
-            let run = caphy::runner::Run::open(config, out.clone())?;
-            let started = std::time::Instant::now();
-            let summary = run.all()?;
-            println!("{}", summary.table);
-            if summary.ran.is_empty() {
-                println!("Nothing to do: every stage was up to date.");
-            } else {
-                println!("Ran {} in {:.0} s.", summary.ran.join(", "), started.elapsed().as_secs_f64());
-            }
-            println!("Report: {}", summary.folder.join("report.html").display());
-            Ok(())
-        }
+        Command::Run(arguments) => command::run::run(arguments, &mut plugins),
+        Command::Show(what) => command::show::run(what),
+        Command::Probe(arguments) => command::probe::run(arguments, &plugins),
     }
 }

@@ -55,23 +55,22 @@ pub fn lines(axes: &Axes<'_>, curves: &[Curve]) -> String {
     let ((x0, x1), (y0, y1)) = (widen(x0, x1), widen(y0, y1));
     let px = |x: f64| left + (x - x0) / (x1 - x0) * (WIDTH - left - right);
     let py = |y: f64| HEIGHT - bottom - (y - y0) / (y1 - y0) * (HEIGHT - top - bottom);
-    for k in 0..=4 {
-        let t = f64::from(k) / 4.0;
-        let (x, y) = (x0 + t * (x1 - x0), y0 + t * (y1 - y0));
+    for y in ticks(y0, y1) {
         let label = if axes.log_y { 10f64.powf(y) } else { y };
         // Writing to a String cannot fail.
         let _ = write!(
             svg,
-            "<line x1=\"{left}\" x2=\"{r}\" y1=\"{yy:.1}\" y2=\"{yy:.1}\" class=\"g\"/><text x=\"{lx}\" y=\"{ty:.1}\" class=\"n e\">{}</text><text x=\"{xx:.1}\" y=\"{by}\" class=\"n m\">{}</text>",
+            "<line x1=\"{left}\" x2=\"{r}\" y1=\"{yy:.1}\" y2=\"{yy:.1}\" class=\"g\"/><text x=\"{lx}\" y=\"{ty:.1}\" class=\"n e\">{}</text>",
             number(label),
-            number(x),
             r = WIDTH - right,
             yy = py(y),
             lx = left - 6.0,
             ty = py(y) + 4.0,
-            xx = px(x),
-            by = HEIGHT - bottom + 16.0,
         );
+    }
+    for x in ticks(x0, x1) {
+        let by = HEIGHT - bottom + 16.0;
+        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{by}\" class=\"n m\">{}</text>", px(x), number(x));
     }
     for (i, (curve, points)) in curves.iter().zip(&shown).enumerate() {
         let colour = COLOURS[i % COLOURS.len()];
@@ -98,6 +97,28 @@ pub fn lines(axes: &Axes<'_>, curves: &[Curve]) -> String {
         escape(axes.y),
     );
     svg
+}
+
+/// Round numbers inside a range, about five of them; on a logarithmic axis of the logarithms, so that decades come out.
+fn ticks(low: f64, high: f64) -> Vec<f64> {
+    let raw = (high - low) / 5.0;
+    let decade = 10f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0].into_iter().map(|m| m * decade).find(|s| *s >= 0.999 * raw).unwrap_or(10.0 * decade);
+    let (first, last) = ((low / step - 1e-9).ceil() as i64, (high / step + 1e-9).floor() as i64);
+    (first..=last).map(|k| k as f64 * step).collect()
+}
+
+/// Style of the plots, for the page or file around them.
+pub const STYLE: &str = ".plot .t{font-weight:600;font-size:14px}.plot .n{font-size:11px;fill:#555}\
+.plot .e{text-anchor:end}.plot .m{text-anchor:middle}.plot .g{stroke:#e6e6e6}.plot .c{fill:none;stroke-width:1.6}";
+
+/// A plot of [`lines`] as a file of its own.
+pub fn standalone(svg: &str) -> String {
+    let head = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{HEIGHT}\" font-family=\"sans-serif\" "
+    );
+    let body = svg.replacen("<svg ", &head, 1);
+    body.replacen('>', &format!("><style>{STYLE}</style><rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>"), 1)
 }
 
 /// Three significant digits.
@@ -131,6 +152,9 @@ mod tests {
         let curve = Curve { name: "c".into(), points: vec![(0.0, f64::NAN), (1.0, 0.0), (2.0, 5.0)] };
         let svg = lines(&axes, &[curve]);
         assert!(svg.contains("a &lt; b") && !svg.contains("NaN"), "{svg}");
+        assert_eq!(ticks(0.0, 1.0), [0.0, 0.2, 0.4, 0.6000000000000001, 0.8, 1.0]);
+        assert_eq!(ticks(1.0, 1.25).len(), 6);
+        assert!(ticks(-3.2, 4.1).iter().any(|t| *t == 0.0));
         assert_eq!([number(0.0), number(1234.0), number(0.05), number(1e-9)], ["0", "1234", "0.05", "1.00e-9"]);
     }
 }

@@ -1,8 +1,9 @@
 //! Runs the stages in order, one artifact each; a stage whose inputs have not changed is not run again.
 
 use crate::artifact;
-use crate::config::{Config, SubjectConfig};
+use crate::config::{Config, PluginConfig, SubjectConfig};
 use crate::files::ProjectFiles;
+use crate::plugins::Plugins;
 use crate::progress::Progress;
 use crate::stage::{self, Context, StageOutput};
 use caphy_core::files::Files;
@@ -38,7 +39,12 @@ impl Run {
     ///
     /// `out` replaces the file's `run.out`.
     pub fn open(config_path: &Path, out: Option<PathBuf>) -> Result<Run> {
-        let config = Config::read(config_path)?;
+        Self::open_with(config_path, out, &mut Plugins::new()?)
+    }
+
+    /// As [`Run::open`], with libraries that were loaded before.
+    pub fn open_with(config_path: &Path, out: Option<PathBuf>, plugins: &mut Plugins) -> Result<Run> {
+        let config = Config::read_with(config_path, plugins)?;
         let files = ProjectFiles::new(config_path.parent().unwrap_or(Path::new(".")));
         let folder = match out {
             Some(out) => out,
@@ -192,9 +198,18 @@ impl Run {
         run: impl FnOnce(&Context<'_>) -> Result<T>,
     ) -> Result<(T, String)> {
         let inputs = self.input_hashes(key)?;
-        let material =
-            serde_json::to_vec(&(name, env!("CARGO_PKG_VERSION"), self.config.run.seed, key, inputs, upstream))
-                .map_err(|e| Error::config(name, e.to_string(), "report this as a defect"))?;
+        let library = |l: &PluginConfig| Ok(artifact::hash(&self.files.read(&l.path)?));
+        let libraries = self.config.plugin.iter().map(library).collect::<Result<Vec<String>>>()?;
+        let material = serde_json::to_vec(&(
+            name,
+            env!("CARGO_PKG_VERSION"),
+            self.config.run.seed,
+            key,
+            inputs,
+            libraries,
+            upstream,
+        ))
+        .map_err(|e| Error::config(name, e.to_string(), "report this as a defect"))?;
         let key = artifact::hash(&material);
         let path = self.folder.join(format!("{name}.caphy"));
         if let Some((value, content)) = artifact::load::<T>(&path, name, &key)?

@@ -36,7 +36,7 @@ pub struct Scene {
 impl Scene {
     /// Builds the body of a preprocessed subject.
     pub fn new(context: &Context<'_>, subject: &Subject) -> Result<Scene> {
-        let body = context.config.body.build(context.files)?;
+        let body = context.config.body.body(context.files)?;
         let count = body.describe().joints.len();
         let mut parameters = BodyParameters::rest(count, &subject.shape);
         parameters.displacement = subject.displacement.clone();

@@ -5,12 +5,13 @@
 use crate::config::TrainConfig;
 use crate::garment::{FittedGarment, TrainedGarment};
 use crate::physics::{Dynamics, GRAVITY, Physics, TermEnergies};
+use crate::plugins::PluginTable;
 use crate::track::BodyTrack;
 use caphy_core::array::{In, Out};
 use caphy_core::body::BodyDescription;
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialModel;
-use caphy_core::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock, ForwardCall, NetSpec};
+use caphy_core::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock, ForwardCall};
 use caphy_core::{Error, Real, Result};
 use caphy_garment::GarmentRest;
 use caphy_garment::contact::ContactMap;
@@ -136,7 +137,7 @@ pub struct Pass {
 pub fn untrained(
     garment: &FittedGarment,
     body: &BodyDescription,
-    spec: &dyn NetSpec,
+    spec: &PluginTable,
     config: &TrainConfig,
     motion: &MotionFrames,
     scans: &BodyTrack,
@@ -154,8 +155,8 @@ pub fn untrained(
         raw.push(features.raw(pose, None, 1.0 / motion.fps)?);
     }
     features.standardise(&raw)?;
-    let net = spec.build(features.count(), 3 * garment.mesh.vertices.len())?;
-    let parameters = net.initialise(seed).into_iter().map(|p| p as f32).collect();
+    let net = spec.net(features.count(), 3 * garment.mesh.vertices.len())?;
+    let parameters = net.initialise(seed)?.into_iter().map(|p| p as f32).collect();
     Ok(TrainedGarment {
         kind: garment.kind,
         features,
@@ -178,7 +179,7 @@ impl<'a> GarmentLearner<'a> {
         garment: &FittedGarment,
         trained: &TrainedGarment,
         material: Arc<dyn MaterialModel>,
-        spec: &dyn NetSpec,
+        spec: &PluginTable,
         config: &TrainConfig,
         motion: &'a MotionFrames,
         scans: &'a ScanFrames,
@@ -188,7 +189,7 @@ impl<'a> GarmentLearner<'a> {
         let physics = Physics::new(&rest, material, &config.contact, motion.fps, &config.weights)?;
         let skinner = Skinner::new(&garment.mesh.vertices, &garment.weights)?;
         let held = skinner.select(physics.attachment.vertices())?;
-        let net = spec.build(trained.features.count(), 3 * garment.mesh.vertices.len())?;
+        let net = spec.net(trained.features.count(), 3 * garment.mesh.vertices.len())?;
         if *net.manifest() != trained.manifest {
             return Err(Error::config(
                 "net",
@@ -243,7 +244,7 @@ impl<'a> GarmentLearner<'a> {
         let inputs: Vec<f32> = batch.frames.iter().flat_map(|&f| features[f].iter().copied()).collect();
         let manifest = self.net.manifest();
         let mut output = vec![0.0f32; steps * windows * manifest.outputs];
-        let mut tape = vec![0.0f32; self.net.tape_len(steps, windows)];
+        let mut tape = vec![0.0f32; self.net.tape_len(steps, windows)?];
         let mut block = ForwardBlock {
             steps,
             batch: windows,

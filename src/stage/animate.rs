@@ -66,7 +66,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Fi
     let track = scene.track(&clip.poses)?;
     let mut played = Vec::new();
     for (fitted, trained) in subject.garments.iter().zip(&avatar.garments) {
-        played.push(play(fitted, trained, &*context.config.net, &track, Play::Clip)?);
+        played.push(play(fitted, trained, &context.config.net, &track, Play::Clip)?);
     }
     let maps = subject.garments.iter().map(|g| scene.contact(g)).collect::<Result<Vec<_>>>()?;
     let mut depth = vec![(0usize, 0.0f64); played.len()];

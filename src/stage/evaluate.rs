@@ -175,7 +175,7 @@ pub fn run(
         .collect::<Result<_>>()?;
     let mut worn = Vec::new();
     for (fitted, trained) in subject.garments.iter().zip(&avatar.garments) {
-        let shapes = play(fitted, trained, &*context.config.net, &track, Play::Poses)?;
+        let shapes = play(fitted, trained, &context.config.net, &track, Play::Poses)?;
         let visible = scan_frames(context, subject, fitted, training.clone())?.visible;
         let table = subject.material_table(context.config, fitted.kind);
         let model = Arc::from(material(table, config_key(fitted.kind), trained.material.as_deref())?);
@@ -352,7 +352,7 @@ fn layering(
     let reach = context.config.finetune.layering.reach;
     let inside = |nets: &Nets| -> Result<f64> {
         let [u, l] = &nets.garments[..] else { return Ok(0.0) };
-        let spec = &*context.config.net;
+        let spec = &context.config.net;
         let (u, l) = (play(upper, u, spec, &track, Play::Poses)?, play(lower, l, spec, &track, Play::Poses)?);
         let (mut count, mut all) = (0usize, 0usize);
         for (u, l) in u.iter().zip(&l) {

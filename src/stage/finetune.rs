@@ -35,7 +35,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets) -> Result<Nets
     for ((fitted, trained), scans) in subject.garments.iter().zip(&nets.garments).zip(&scans) {
         let table = subject.material_table(context.config, fitted.kind);
         let model = Arc::from(material(table, config_key(fitted.kind), trained.material.as_deref())?);
-        let (net, contact) = (&*context.config.net, scene.contact(fitted)?);
+        let (net, contact) = (&context.config.net, scene.contact(fitted)?);
         learners.push(GarmentLearner::new(fitted, trained, model, net, config, &motion, scans, contact)?);
     }
     let [upper, lower] = &mut learners[..] else {

@@ -164,11 +164,11 @@ pub fn alternation_names(alternation: usize) -> (&'static str, &'static str) {
 
 /// The configured material of a garment with other parameter values, where there are any.
 pub fn material(
-    table: &crate::config::MaterialTable,
+    table: &crate::plugins::PluginTable,
     key: &str,
     parameters: Option<&[f64]>,
 ) -> Result<Box<dyn MaterialModel>> {
-    let configured = table.spec(key)?.build()?;
+    let configured = table.material(key)?;
     match parameters {
         Some(values) => configured.with_parameters(values),
         None => Ok(configured),

@@ -48,7 +48,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets) -> Result<Esti
     let mut garments = Vec::new();
     for (index, (fitted, trained)) in subject.garments.iter().zip(&nets.garments).enumerate() {
         context.progress.set(index as f64 / subject.garments.len() as f64, &fitted.kind.to_string());
-        let shapes = play(fitted, trained, &*context.config.net, &track, Play::Poses)?;
+        let shapes = play(fitted, trained, &context.config.net, &track, Play::Poses)?;
         // Up to eight poses share a block; every lane of a block must be a pose of its own.
         let lanes = (1..=<f64 as Real>::LANES).rev().find(|l| shapes.len() % l == 0).unwrap_or(1);
         let frames: Vec<usize> = (0..shapes.len()).collect();

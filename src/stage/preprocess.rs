@@ -1,10 +1,11 @@
 //! From scans to labels, a naked body under the clothes, and garment templates (Sec. 3.1).
 
 use super::{Context, ScanFile, Scans, StageOutput, read_scan};
-use crate::config::{Config, GarmentConfig, MaterialTable};
+use crate::config::{Config, GarmentConfig};
 use crate::fixed_shape::FixedShape;
 use crate::garment::FittedGarment;
 use crate::pictures;
+use crate::plugins::PluginTable;
 use crate::scene::{label_of, thin};
 use caphy_bodymodel::registration::{RegistrationScan, ScanFit, register};
 use caphy_core::body::{BodyModel, BodyParameters, PosedBody};
@@ -90,7 +91,7 @@ impl Subject {
         self.scans.iter().filter(|s| !s.held_out)
     }
     /// The configured fabric of a garment.
-    pub fn material_table<'c>(&self, config: &'c Config, kind: GarmentKind) -> &'c MaterialTable {
+    pub fn material_table<'c>(&self, config: &'c Config, kind: GarmentKind) -> &'c PluginTable {
         &garment_config(config, kind).material
     }
 }
@@ -113,8 +114,8 @@ const REFINEMENTS: usize = 24;
 pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     let config = context.config;
     let progress = context.progress;
-    let body = config.body.build(context.files)?;
-    let segmenter = config.segmenter.build(context.files)?;
+    let body = config.body.body(context.files)?;
+    let segmenter = config.segmenter.segmenter(context.files)?;
     let count = scans.list.len() as f64;
 
     let settings = FusionSettings { views: config.views.count, size: config.views.size, ..FusionSettings::default() };

@@ -50,15 +50,15 @@ impl StageOutput for Page {
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}\
 h1,h2{font-weight:600}h2{margin-top:2em;border-bottom:1px solid #ddd}img{max-width:100%}\
 table{border-collapse:collapse;margin:.6em 0}td,th{padding:.2em .7em;border-bottom:1px solid #e4e4e4;text-align:right}\
-td:first-child,th:first-child{text-align:left}.plot{width:48%;min-width:420px}.plot .t{font-weight:600;font-size:14px}\
-.plot .n{font-size:11px;fill:#555}.plot .e{text-anchor:end}.plot .m{text-anchor:middle}.plot .g{stroke:#e6e6e6}\
-.plot .c{fill:none;stroke-width:1.6}.warn{background:#fff6e0;border-left:4px solid #d99a1c;padding:.5em 1em}";
+td:first-child,th:first-child{text-align:left}.plot{width:48%;min-width:420px}\
+.warn{background:#fff6e0;border-left:4px solid #d99a1c;padding:.5em 1em}";
 
 /// Writes the page.
 pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
     let mut html = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>caphy report</title><style>{STYLE}</style>\
-         <h1>caphy report</h1>"
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>caphy report</title><style>{STYLE}{plot}</style>\
+         <h1>caphy report</h1>",
+        plot = crate::plot::STYLE,
     );
     overview(&mut html, inputs);
     let picture = |html: &mut String, title: &str, name: &str, text: &str| -> Result<()> {

@@ -65,7 +65,7 @@ const CONTACT_REFRESH: usize = 4;
 pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
     let seed = context.config.run.seed;
     let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(7919).wrapping_add(17));
-    let body = context.config.body.build(context.files)?;
+    let body = context.config.body.body(context.files)?;
     let joints = body.describe().joints.len();
     let shape: Vec<f64> = (0..body.describe().shape_count.min(4)).map(|_| uniform(&mut rng, -0.8, 0.8)).collect();
     let subject = BodyParameters::rest(joints, &shape);
@@ -93,7 +93,7 @@ pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
     for index in [1, 0] {
         let template = &templates[index];
         let (table, key) = tables[index];
-        let material: Arc<dyn MaterialModel> = Arc::from(table.spec(key)?.build()?);
+        let material: Arc<dyn MaterialModel> = Arc::from(table.material(key)?);
         let worn = fitted(template, &rest_mesh, &body.describe().weights)?;
         let under = at_rest.first().map(|(under, shapes, ..)| (&templates[*under].mesh.faces[..], &shapes[..]));
         let say = |s: f64| {

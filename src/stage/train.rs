@@ -95,7 +95,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, start: &Start) -> Result<Ne
             None => trainer::untrained(
                 fitted,
                 scene.body.describe(),
-                &*context.config.net,
+                &context.config.net,
                 config,
                 &motion,
                 &scan_track,
@@ -107,7 +107,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, start: &Start) -> Result<Ne
         let model: Arc<_> = Arc::from(material(table, config_key(fitted.kind), fabric.as_deref())?);
         let mut learner = {
             let contact = scene.contact(fitted)?;
-            GarmentLearner::new(fitted, &first, model, &*context.config.net, config, &motion, &scans, contact)?
+            GarmentLearner::new(fitted, &first, model, &context.config.net, config, &motion, &scans, contact)?
         };
         let batches = plan(context, &motion, scans.clouds.len(), start.rounds, seed);
         let name = fitted.kind.to_string();

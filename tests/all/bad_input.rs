@@ -27,7 +27,7 @@ fn assert_error(experiment: &Experiment, words: &[&str]) {
 /// The coarse mannequin in its T-pose, dressed by colour and label only: top and trousers by height.
 fn person() -> Scan {
     let config = Config::parse(Path::new("tiny.toml"), &tiny_on_scans("scans", &[])).expect("a configuration");
-    let body = config.body.build(&ProjectFiles::new(".")).expect("a body");
+    let body = config.body.body(&ProjectFiles::new(".")).expect("a body");
     let joints = body.describe().joints.len();
     let posed = body.forward(&BodyParameters::rest(joints, &[])).expect("a posed body");
     let mesh = TriMesh { vertices: posed.vertices, faces: body.describe().faces.clone() };

@@ -99,7 +99,11 @@ fn unknown_types_list_what_exists() {
     ] {
         let text = edited(TINY, &[(old, wrong)]);
         let name = wrong.split('"').nth(1).expect("a quoted name");
-        assert_points_at(&text, &format!("\"{name}\""), &[&format!("unknown variant `{name}`"), exist[0], exist[1]]);
+        assert_points_at(
+            &text,
+            &format!("\"{name}\""),
+            &["unknown ", &format!(" `{name}`, expected"), exist[0], exist[1]],
+        );
     }
     let material = "type = \"measured\", fabric = \"camel-ponte-roma\"";
     let no_type = edited(TINY, &[(material, "fabric = \"camel-ponte-roma\"")]);
@@ -154,6 +158,11 @@ fn unusable_values_name_their_key() {
     }
     assert_points_at(&edited(TINY, &[("count = 8", "count = -8")]), "count = -8", &["-8"]);
     assert_points_at(&edited(TINY, &[("count = 8", "count = \"8\"")]), "count = \"8\"", &["string"]);
+    // In tables that a plugin reads, too.
+    assert_points_at(&edited(TINY, &[("hidden = 32", "hidden = \"32\"")]), "hidden = \"32\"", &["string"]);
+    let fabric = "fabric = \"navy-sparkle-sweat\"";
+    let multipliers = format!("{fabric}, membrane_multipliers = [1.0, 2.0]");
+    assert_points_at(&edited(TINY, &[(fabric, &multipliers)]), "membrane_multipliers", &["length 2"]);
     let no_clips = "clips = [{ type = \"procedural\", kind = \"walk\", seconds = 2 }]";
     assert_says(&edited(TINY, &[(no_clips, "clips = []")]), &["motion.clips"]);
     assert_says(&edited(TINY, &[("[net]\ntype = \"gru\"\nlayers = 2\nhidden = 32\n", "")]), &["missing field `net`"]);
@@ -168,4 +177,29 @@ fn broken_toml_points_at_its_line() {
     assert!(experiment.error().contains(FILE));
     std::fs::remove_file(experiment.config()).expect("removed");
     assert!(experiment.error().contains(FILE));
+}
+
+#[test]
+fn settings_without_effect_are_refused() {
+    for (old, new, key, because) in [
+        ("epochs = 6", "epochs = 0", "finetune.windows", "finetune.epochs = 0"),
+        (
+            "epochs = 6\nwindows = 64",
+            "epochs = 0\nlayering = { order = \"tucked\" }",
+            "finetune.layering",
+            "finetune.epochs = 0",
+        ),
+        ("rounds = 2", "rounds = 3\nalternations = 0", "optimise.rounds", "optimise.alternations = 0"),
+        ("windows = 48", "windows = 48\nweights = { scan = 0.0 }\nscan_points = 9", "train.scan_points", "scan = 0"),
+        ("windows = 48", "windows = 48\nwindow = 2\nweights = { inertia = 2 }", "train.weights.inertia", "window < 3"),
+        ("[animate]", "[evaluate]\nground_truth = \"x.npz\"\n\n[animate]", "evaluate.ground_truth", "synthetic"),
+    ] {
+        let error = error(&edited(TINY, &[(old, new)]));
+        assert!(matches!(&error, Error::Config { key: named, .. } if named == key), "{new}: {error}");
+        assert!(error.to_string().contains("has no effect") && error.to_string().contains(because), "{error}");
+    }
+    // What is written out with all defaults stays valid.
+    let off = edited(TINY, &[("epochs = 6\nwindows = 64", "epochs = 0")]);
+    let config = Config::parse(Path::new(FILE), &off).unwrap_or_else(|e| panic!("{e}"));
+    assert_written_configuration_parses(&config);
 }

@@ -2,6 +2,8 @@
 
 /// Missing, damaged and unsuitable input.
 mod bad_input;
+/// The small commands, as a shell would call them.
+mod commands;
 /// What a configuration may say, and what is answered to one that is wrong.
 mod config;
 /// Very small experiments in folders of their own.

@@ -116,7 +116,7 @@ fn three_clothed_scans_become_an_avatar_that_walks() {
     let names: Vec<_> = subject.scans.iter().map(|s| (&*s.name, s.held_out)).collect();
     assert_eq!(names, [("p1_apose", false), ("p1_kneeup", false), ("p1_star", true)]);
     let body = Config::parse(&experiment.config(), &text)
-        .and_then(|config| config.body.build(&ProjectFiles::new(".")))
+        .and_then(|config| config.body.body(&ProjectFiles::new(".")))
         .unwrap_or_else(|e| panic!("{e}"));
     let path = shared.join("data/scans/ground_truth.npz");
     let truth = Npz::from_bytes(&path, std::fs::read(&path).expect("the truth")).unwrap_or_else(|e| panic!("{e}"));

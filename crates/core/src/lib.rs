@@ -10,13 +10,17 @@
 pub mod array;
 pub mod body;
 pub mod error;
+pub mod extension;
 pub mod files;
+#[cfg(feature = "host")]
+pub mod host;
 pub mod lanes;
 pub mod material;
 pub mod mesh;
 pub mod motion;
 pub mod net;
 pub mod params;
+pub mod plugin;
 pub mod pose;
 pub mod query;
 pub mod scan;

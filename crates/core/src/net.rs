@@ -170,6 +170,30 @@ pub enum BackwardCall<'b, 'a> {
     F64(&'b mut BackwardBlock<'a, f64>),
 }
 
+/// A [`Real`] that knows its variant of the calls, so that generic callers can run a net.
+pub trait NetReal: Real {
+    /// Forward pass in this precision.
+    fn forward(net: &dyn DeformationNet, block: &mut ForwardBlock<'_, Self>) -> Result<()>;
+    /// Backward pass in this precision.
+    fn backward(net: &dyn DeformationNet, block: &mut BackwardBlock<'_, Self>) -> Result<()>;
+}
+impl NetReal for f32 {
+    fn forward(net: &dyn DeformationNet, block: &mut ForwardBlock<'_, Self>) -> Result<()> {
+        net.forward(ForwardCall::F32(block))
+    }
+    fn backward(net: &dyn DeformationNet, block: &mut BackwardBlock<'_, Self>) -> Result<()> {
+        net.backward(BackwardCall::F32(block))
+    }
+}
+impl NetReal for f64 {
+    fn forward(net: &dyn DeformationNet, block: &mut ForwardBlock<'_, Self>) -> Result<()> {
+        net.forward(ForwardCall::F64(block))
+    }
+    fn backward(net: &dyn DeformationNet, block: &mut BackwardBlock<'_, Self>) -> Result<()> {
+        net.backward(BackwardCall::F64(block))
+    }
+}
+
 /// What a net answers beyond a single-precision pass; asking for the rest is [`Error::Unsupported`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NetOffers {
@@ -205,9 +229,9 @@ pub trait DeformationNet: Send + Sync {
     }
     /// First values of the flat parameters from a seed. The last layer is zero, so that training starts from the skinned
     /// template.
-    fn initialise(&self, seed: u64) -> Vec<f64>;
+    fn initialise(&self, seed: u64) -> Result<Vec<f64>>;
     /// Length of the tape for a pass of this size.
-    fn tape_len(&self, steps: usize, batch: usize) -> usize;
+    fn tape_len(&self, steps: usize, batch: usize) -> Result<usize>;
     /// Runs the net.
     fn forward(&self, call: ForwardCall<'_, '_>) -> Result<()>;
     /// Vector-Jacobian product of the last forward pass.

@@ -12,4 +12,4 @@ pub mod relax;
 pub mod skinning;
 pub mod template;
 
-pub use garment::GarmentRest;
+pub use garment::{GarmentRest, RestHinge};

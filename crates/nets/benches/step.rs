@@ -27,14 +27,14 @@ struct Step {
 impl Step {
     fn new() -> Self {
         let net = NetGru::new(&NetGruSpec::default(), INPUTS, OUTPUTS).expect("sizes in range");
-        let parameters: Vec<f32> = net.initialise(1).iter().map(|v| *v as f32).collect();
+        let parameters: Vec<f32> = net.initialise(1).expect("values").iter().map(|v| *v as f32).collect();
         let n = parameters.len();
         let wave = |n: usize, scale: f32| (0..n).map(|i| scale * (i as f32 * 0.7).sin()).collect::<Vec<f32>>();
         Self {
             features: wave(STEPS * BATCH * INPUTS, 1.0),
             output: vec![0.0; STEPS * BATCH * OUTPUTS],
             output_gradient: wave(STEPS * BATCH * OUTPUTS, 1e-3),
-            tape: vec![0.0; net.tape_len(STEPS, BATCH)],
+            tape: vec![0.0; net.tape_len(STEPS, BATCH).expect("a length")],
             gradient: vec![0.0; n],
             moments: (vec![0.0; n], vec![0.0; n]),
             adam: Adam { learning_rate: 1e-6, ..Adam::default() },

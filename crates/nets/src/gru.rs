@@ -114,7 +114,7 @@ impl NetGru {
 
     fn run_forward<T: Real>(&self, block: &mut ForwardBlock<'_, T>) -> Result<()> {
         let (steps, batch, hidden) = (block.steps, block.batch, self.hidden);
-        let tape_len = self.tape_len(steps, batch);
+        let tape_len = self.tape_values(steps, batch);
         block.check(&self.manifest, tape_len)?;
         let parameters = block.parameters.or_empty();
         let features = block.features.or_empty();
@@ -173,7 +173,7 @@ impl NetGru {
 
     fn run_backward<T: Real>(&self, block: &mut BackwardBlock<'_, T>) -> Result<()> {
         let (steps, batch, hidden) = (block.steps, block.batch, self.hidden);
-        block.check(&self.manifest, self.tape_len(steps, batch))?;
+        block.check(&self.manifest, self.tape_values(steps, batch))?;
         let parameters = block.parameters.or_empty();
         let features = block.features.or_empty();
         let tape = block.tape.or_empty();
@@ -308,19 +308,26 @@ simd_kernel! {
     }
 }
 
+impl NetGru {
+    /// Length of the tape.
+    fn tape_values(&self, steps: usize, batch: usize) -> usize {
+        self.layers * self.layer_tape(steps, batch)
+    }
+}
+
 impl DeformationNet for NetGru {
     fn manifest(&self) -> &NetManifest {
         &self.manifest
     }
     /// Uniform in ±1/√hidden (PyTorch's default for `nn.GRU`), zeros in the head.
-    fn initialise(&self, seed: u64) -> Vec<f64> {
+    fn initialise(&self, seed: u64) -> Result<Vec<f64>> {
         let bound = 1.0 / (self.hidden as f64).sqrt();
         let mut bounds = vec![bound; 4 * self.layers];
         bounds.extend([0.0, 0.0]);
-        initial::uniform(&self.manifest, seed, &bounds)
+        Ok(initial::uniform(&self.manifest, seed, &bounds))
     }
-    fn tape_len(&self, steps: usize, batch: usize) -> usize {
-        self.layers * self.layer_tape(steps, batch)
+    fn tape_len(&self, steps: usize, batch: usize) -> Result<usize> {
+        Ok(self.tape_values(steps, batch))
     }
     fn forward(&self, call: ForwardCall<'_, '_>) -> Result<()> {
         match call {

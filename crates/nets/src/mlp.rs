@@ -96,7 +96,7 @@ impl NetMlp {
     }
 
     fn run_forward<T: Real>(&self, block: &mut ForwardBlock<'_, T>) -> Result<()> {
-        let tape_len = self.tape_len(block.steps, block.batch);
+        let tape_len = self.tape_values(block.steps, block.batch);
         block.check(&self.manifest, tape_len)?;
         let frames = block.steps * block.batch;
         let parameters = block.parameters.or_empty();
@@ -130,7 +130,7 @@ impl NetMlp {
     }
 
     fn run_backward<T: Real>(&self, block: &mut BackwardBlock<'_, T>) -> Result<()> {
-        block.check(&self.manifest, self.tape_len(block.steps, block.batch))?;
+        block.check(&self.manifest, self.tape_values(block.steps, block.batch))?;
         let frames = block.steps * block.batch;
         let parameters = block.parameters.or_empty();
         let features = block.features.or_empty();
@@ -220,22 +220,29 @@ simd_kernel! {
     }
 }
 
+impl NetMlp {
+    /// Length of the tape.
+    fn tape_values(&self, steps: usize, batch: usize) -> usize {
+        2 * steps * batch * self.hidden.iter().sum::<usize>()
+    }
+}
+
 impl DeformationNet for NetMlp {
     fn manifest(&self) -> &NetManifest {
         &self.manifest
     }
     /// Uniform in ±1/√(layer's inputs) (PyTorch's default for `nn.Linear`), zeros in the output layer.
-    fn initialise(&self, seed: u64) -> Vec<f64> {
+    fn initialise(&self, seed: u64) -> Result<Vec<f64>> {
         let mut bounds = Vec::with_capacity(self.manifest.tensors.len());
         for width in [self.manifest.inputs].iter().chain(&self.hidden).take(self.hidden.len()) {
             let bound = 1.0 / (*width as f64).sqrt();
             bounds.extend([bound, bound]);
         }
         bounds.extend([0.0, 0.0]);
-        initial::uniform(&self.manifest, seed, &bounds)
+        Ok(initial::uniform(&self.manifest, seed, &bounds))
     }
-    fn tape_len(&self, steps: usize, batch: usize) -> usize {
-        2 * steps * batch * self.hidden.iter().sum::<usize>()
+    fn tape_len(&self, steps: usize, batch: usize) -> Result<usize> {
+        Ok(self.tape_values(steps, batch))
     }
     fn forward(&self, call: ForwardCall<'_, '_>) -> Result<()> {
         match call {

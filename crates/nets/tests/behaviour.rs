@@ -6,7 +6,7 @@ use caphy_core::array::{In, Out};
 use caphy_core::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock, ForwardCall, NetSpec};
 use caphy_core::{Error, Real};
 use caphy_nets::{NetGru, NetGruSpec, NetMlp, NetMlpSpec};
-use support::{Case, Precision, difference, numbers, small_nets};
+use support::{Case, NetReal, difference, numbers, small_nets};
 
 /// Two nets whose output layer is cut into panels.
 fn wide_nets() -> Vec<(&'static str, Box<dyn DeformationNet>)> {
@@ -18,7 +18,7 @@ fn wide_nets() -> Vec<(&'static str, Box<dyn DeformationNet>)> {
     ]
 }
 
-fn parts_equal_whole<T: Precision>(net: &dyn DeformationNet, name: &str, tolerance: f64) {
+fn parts_equal_whole<T: NetReal>(net: &dyn DeformationNet, name: &str, tolerance: f64) {
     let m = net.manifest();
     let whole = Case::<T>::new(net, 7, 3);
     let want = whole.forward(net);
@@ -103,7 +103,7 @@ fn no_state_means_zeros_and_no_tape_gives_the_same_output() {
     }
 }
 
-fn bits<T: Precision>(net: &dyn DeformationNet, threads: usize) -> Vec<f64> {
+fn bits<T: NetReal>(net: &dyn DeformationNet, threads: usize) -> Vec<f64> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| {
         let case = Case::<T>::new(net, 5, 4);
@@ -126,9 +126,9 @@ fn bits_do_not_depend_on_the_threads() {
 fn first_values_come_from_the_seed_and_start_at_the_template() {
     for (name, net) in small_nets() {
         let m = net.manifest();
-        let values = net.initialise(7);
+        let values = net.initialise(7).expect("values");
         assert_eq!(values.len(), m.parameter_count());
-        assert_eq!(values, net.initialise(7), "{name}");
+        assert_eq!(values, net.initialise(7).expect("values"), "{name}");
         let (weight, rest) = (&m.tensors[m.tensors.len() - 2], &m.tensors[..m.tensors.len() - 2]);
         assert!(values[weight.offset..].iter().all(|v| *v == 0.0), "{name}");
         for t in rest {
@@ -139,7 +139,7 @@ fn first_values_come_from_the_seed_and_start_at_the_template() {
             assert!(part.iter().all(|v| v.abs() <= bound && *v != 0.0), "{name} {}", t.name);
         }
         if !rest.is_empty() {
-            assert_ne!(values, net.initialise(8), "{name}");
+            assert_ne!(values, net.initialise(8).expect("values"), "{name}");
         }
         let mut case = Case::<f32>::new(&*net, 2, 2);
         case.parameters = values.iter().map(|v| f32::of(*v)).collect();
@@ -152,7 +152,14 @@ fn wrong_lengths_are_typed_errors() {
     for (name, net) in small_nets() {
         let m = net.manifest();
         let case = Case::<f32>::new(&*net, 2, 3);
-        let lengths = [m.parameter_count(), 6 * m.inputs, 3 * m.state, 6 * m.outputs, 3 * m.state, net.tape_len(2, 3)];
+        let lengths = [
+            m.parameter_count(),
+            6 * m.inputs,
+            3 * m.state,
+            6 * m.outputs,
+            3 * m.state,
+            net.tape_len(2, 3).expect("a length"),
+        ];
         for (short, length) in lengths.iter().enumerate() {
             if *length == 0 {
                 continue;
@@ -175,8 +182,8 @@ fn wrong_lengths_are_typed_errors() {
             assert_eq!((expected, got), (*length, length - 1), "{name} array {short}");
         }
         // A tape of another size, as left by a pass over fewer steps.
-        let tape = vec![0.0f32; net.tape_len(1, 3)];
-        if tape.len() != net.tape_len(2, 3) {
+        let tape = vec![0.0f32; net.tape_len(1, 3).expect("a length")];
+        if tape.len() != net.tape_len(2, 3).expect("a length") {
             let mut gradient = vec![0.0f32; m.parameter_count()];
             let mut block = BackwardBlock {
                 steps: 2,

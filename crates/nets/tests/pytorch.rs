@@ -7,7 +7,7 @@ use caphy_core::net::{DeformationNet, NetSpec};
 use caphy_nets::adam::Adam;
 use caphy_nets::{NetGruSpec, NetMlpSpec};
 use serde_json::Value;
-use support::{Case, Precision, difference};
+use support::{Case, NetReal, difference};
 
 fn reference() -> Value {
     serde_json::from_str(include_str!("data/pytorch_parity.json")).unwrap()
@@ -22,7 +22,7 @@ fn size(value: &Value, key: &str) -> usize {
 }
 
 /// Puts PyTorch's tensors into the flat vector by name and compares everything that both compute.
-fn compare<T: Precision>(reference: &Value, net: &dyn DeformationNet, tolerance: f64) {
+fn compare<T: NetReal>(reference: &Value, net: &dyn DeformationNet, tolerance: f64) {
     let m = net.manifest();
     let mut parameters = vec![T::nan(); m.parameter_count()];
     let mut gradient = vec![f64::NAN; m.parameter_count()];

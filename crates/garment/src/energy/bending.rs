@@ -2,7 +2,7 @@
 
 use super::arc_tangent::arc_tangent;
 use super::{CHUNK, EnergyTerm, MAX_LANES, State, add_blocks, add_row, pad_to_chunks, row};
-use crate::GarmentRest;
+use crate::{GarmentRest, RestHinge};
 use caphy_core::array::Out;
 use caphy_core::lanes::Frames;
 use caphy_core::material::{HingeBlock, HingeLength, MaterialModel, MaterialReal};
@@ -53,8 +53,16 @@ pub struct Bending<T> {
 impl<T: MaterialReal> Bending<T> {
     /// From a rest state.
     pub fn new(rest: &GarmentRest, material: Arc<dyn MaterialModel>, rest_angle: RestAngle) -> Self {
-        let mut hinges: Vec<_> = rest
-            .hinges
+        Self::of_hinges(&rest.hinges, rest.vertex_count(), material, rest_angle)
+    }
+    /// From hinges alone; all their vertices must be below `vertex_count`.
+    pub fn of_hinges(
+        hinges: &[RestHinge],
+        vertex_count: usize,
+        material: Arc<dyn MaterialModel>,
+        rest_angle: RestAngle,
+    ) -> Self {
+        let mut hinges: Vec<_> = hinges
             .iter()
             .map(|h| Element {
                 vertices: h.vertices,
@@ -70,7 +78,7 @@ impl<T: MaterialReal> Bending<T> {
             })
             .collect();
         pad_to_chunks(&mut hinges, |h| h.weight = T::zero());
-        Self { hinges, vertex_count: rest.vertex_count(), material }
+        Self { hinges, vertex_count, material }
     }
     /// The same garment of another material.
     pub fn set_material(&mut self, material: Arc<dyn MaterialModel>) {

@@ -2,33 +2,9 @@
 
 #![allow(dead_code, reason = "each test file uses its part")]
 
-use caphy_core::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock, ForwardCall};
-use caphy_core::{Real, Result};
+use caphy_core::Real;
+use caphy_core::net::{BackwardBlock, DeformationNet, ForwardBlock, NetReal};
 use caphy_nets::{Activation, NetGru, NetGruSpec, NetMlp, NetMlpSpec};
-
-/// Both precisions behind one name.
-pub(crate) trait Precision: Real {
-    fn forward(net: &dyn DeformationNet, block: &mut ForwardBlock<'_, Self>) -> Result<()>;
-    fn backward(net: &dyn DeformationNet, block: &mut BackwardBlock<'_, Self>) -> Result<()>;
-}
-
-impl Precision for f32 {
-    fn forward(net: &dyn DeformationNet, block: &mut ForwardBlock<'_, f32>) -> Result<()> {
-        net.forward(ForwardCall::F32(block))
-    }
-    fn backward(net: &dyn DeformationNet, block: &mut BackwardBlock<'_, f32>) -> Result<()> {
-        net.backward(BackwardCall::F32(block))
-    }
-}
-
-impl Precision for f64 {
-    fn forward(net: &dyn DeformationNet, block: &mut ForwardBlock<'_, f64>) -> Result<()> {
-        net.forward(ForwardCall::F64(block))
-    }
-    fn backward(net: &dyn DeformationNet, block: &mut BackwardBlock<'_, f64>) -> Result<()> {
-        net.backward(BackwardCall::F64(block))
-    }
-}
 
 /// What a pass is made on.
 pub(crate) struct Case<T> {
@@ -68,7 +44,7 @@ pub(crate) fn numbers<T: Real>(n: usize, seed: u64, scale: f64) -> Vec<T> {
         .collect()
 }
 
-impl<T: Precision> Case<T> {
+impl<T: NetReal> Case<T> {
     /// A pass with every input away from zero, the head included.
     pub(crate) fn new(net: &dyn DeformationNet, steps: usize, batch: usize) -> Self {
         let m = net.manifest();
@@ -88,7 +64,7 @@ impl<T: Precision> Case<T> {
         let mut out = Forward {
             output: vec![T::nan(); self.steps * self.batch * m.outputs],
             state: vec![T::nan(); self.batch * m.state],
-            tape: vec![T::nan(); net.tape_len(self.steps, self.batch)],
+            tape: vec![T::nan(); net.tape_len(self.steps, self.batch).expect("a length")],
         };
         let mut block = ForwardBlock {
             steps: self.steps,

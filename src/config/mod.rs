@@ -3,16 +3,16 @@
 //! Unknown keys and types are errors that name the key, its line, and what exists. Every default stands beside its field
 //! with its reason.
 
+mod check;
+pub(crate) mod place;
+mod silent;
+
 use crate::files::ProjectFiles;
+use crate::plugins::{Kind, PluginTable, Plugins};
 use caphy_bodymodel::registration::RegistrationSettings;
-use caphy_core::body::BodySpec;
-use caphy_core::material::MaterialSpec;
-use caphy_core::net::NetSpec;
-use caphy_core::segmenter::SegmenterSpec;
 use caphy_core::{Error, Result};
 use caphy_garment::energy::{ContactOptions, LayeringOptions};
 use caphy_garment::estimate::ForceBalanceSettings;
-use caphy_garment::template::{RESOLUTION_RANGE, StyleRange};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -24,10 +24,13 @@ pub struct Config {
     pub run: RunConfig,
     /// The scans.
     pub subject: SubjectConfig,
+    /// Libraries with types of your own; their types can be chosen in the tables below.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub plugin: Vec<PluginConfig>,
     /// The naked body: `type = "mannequin" | "smplx"`.
-    pub body: Box<dyn BodySpec>,
+    pub body: PluginTable,
     /// Labels for rendered views: `type = "vertex" | "colour"`.
-    pub segmenter: Box<dyn SegmenterSpec>,
+    pub segmenter: PluginTable,
     /// Views for label fusion.
     #[serde(default)]
     pub views: ViewsConfig,
@@ -39,7 +42,7 @@ pub struct Config {
     /// The garment on the legs.
     pub lower: GarmentConfig,
     /// The deformation net: `type = "gru" | "mlp"`.
-    pub net: Box<dyn NetSpec>,
+    pub net: PluginTable,
     /// Motion to train on.
     pub motion: MotionConfig,
     /// Training.
@@ -56,6 +59,14 @@ pub struct Config {
     pub evaluate: EvaluateConfig,
     /// What the avatar plays at the end.
     pub animate: AnimateConfig,
+}
+
+/// `[[plugin]]`
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PluginConfig {
+    /// The library (`.so`, `.dylib`, `.dll`), relative to the configuration's folder unless absolute.
+    pub path: PathBuf,
 }
 
 /// `[run]`
@@ -99,9 +110,9 @@ pub struct SyntheticConfig {
     #[serde(default = "synthetic_resolution")]
     pub resolution_m: f64,
     /// The true fabric of the upper garment.
-    pub upper_material: MaterialTable,
+    pub upper_material: PluginTable,
     /// The true fabric of the lower garment.
-    pub lower_material: MaterialTable,
+    pub lower_material: PluginTable,
 }
 
 fn one_scan() -> usize {
@@ -125,21 +136,6 @@ pub struct ScansConfig {
     pub held_out: Vec<String>,
 }
 
-/// A material that can be cloned: the table as it stands in the file.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct MaterialTable(pub toml::Table);
-
-impl MaterialTable {
-    /// The specification behind the table.
-    pub fn spec(&self, key: &str) -> Result<Box<dyn MaterialSpec>> {
-        self.0
-            .clone()
-            .try_into()
-            .map_err(|e: toml::de::Error| Error::config(key, e.message().to_string(), "correct the key"))
-    }
-}
-
 /// `[views]`
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -161,7 +157,7 @@ impl Default for ViewsConfig {
 #[serde(deny_unknown_fields)]
 pub struct GarmentConfig {
     /// The fabric that training starts from.
-    pub material: MaterialTable,
+    pub material: PluginTable,
     /// Number of styles that are tried as template. Default 30; the paper takes 300.
     #[serde(default = "thirty")]
     pub styles: usize,
@@ -421,25 +417,69 @@ fn two_millimetres() -> f64 {
 }
 
 impl Config {
-    /// Parses and checks a configuration; `path` is for messages.
+    /// Parses and checks a configuration with the linked plugins and the libraries that it names; `path` is for messages
+    /// and for where relative libraries are.
     pub fn parse(path: &Path, text: &str) -> Result<Config> {
-        let config: Config = toml::from_str(text).map_err(|e| parse_error(path, text, &e, 0))?;
-        for (key, table) in config.materials() {
-            // Material tables are kept as written: their mistakes are looked for where the table stands.
-            let at = key.split('.').fold(0, |from, part| find_word(text, part, from).unwrap_or(from));
-            let spec: std::result::Result<Box<dyn MaterialSpec>, _> = table.0.clone().try_into();
-            spec.map_err(|e| parse_error(path, text, &e, at))?;
+        Self::parse_with(path, text, &mut Plugins::new()?)
+    }
+
+    /// As [`Config::parse`], with more libraries loaded before.
+    ///
+    /// # Errors
+    /// [`Error::Format`] with line and column of what TOML or a type does not know, [`Error::Config`] for values that cannot
+    /// be used or have no effect, [`Error::Plugin`] for libraries.
+    pub fn parse_with(path: &Path, text: &str, plugins: &mut Plugins) -> Result<Config> {
+        let table = parse_table(path, text)?;
+        let files = ProjectFiles::new(path.parent().unwrap_or(Path::new(".")));
+        // Before anything else is read: the types below may be theirs.
+        for library in libraries(&table) {
+            plugins.load(&files.resolve(&library)?)?;
         }
+        plugins.settle(path);
+        let read = |table: &toml::Table| -> std::result::Result<Config, String> {
+            table.clone().try_into().map_err(|e: toml::de::Error| e.message().trim().to_string())
+        };
+        let mut config = read(&table)
+            .map_err(|message| place::error(path, text, "", &table, &message, &|table| read(table).err()))?;
+        for (kind, key, chosen) in config.tables_mut() {
+            chosen.resolve_in(plugins, kind, path, text, key)?;
+        }
+        silent::check(&table, &config)?;
         config.check()?;
+        // Those of the command line, too: the run depends on them.
+        config.plugin = plugins.paths().map(|path| PluginConfig { path: path.into() }).collect();
         Ok(config)
     }
+
     /// Reads and parses a file.
     pub fn read(path: &Path) -> Result<Config> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-        Self::parse(path, &text)
+        Self::read_with(path, &mut Plugins::new()?)
     }
+
+    /// As [`Config::read`], with more libraries loaded before.
+    pub fn read_with(path: &Path, plugins: &mut Plugins) -> Result<Config> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        Self::parse_with(path, &text, plugins)
+    }
+
+    /// Tables that choose a plugin.
+    fn tables_mut(&mut self) -> Vec<(Kind, &'static str, &mut PluginTable)> {
+        let mut all = vec![
+            (Kind::Body, "body", &mut self.body),
+            (Kind::Segmenter, "segmenter", &mut self.segmenter),
+            (Kind::Net, "net", &mut self.net),
+            (Kind::Material, "upper.material", &mut self.upper.material),
+            (Kind::Material, "lower.material", &mut self.lower.material),
+        ];
+        if let SubjectConfig::Synthetic(s) = &mut self.subject {
+            all.push((Kind::Material, "subject.upper_material", &mut s.upper_material));
+            all.push((Kind::Material, "subject.lower_material", &mut s.lower_material));
+        }
+        all
+    }
+
     /// All materials with their keys.
-    fn materials(&self) -> Vec<(&'static str, &MaterialTable)> {
+    fn materials(&self) -> Vec<(&'static str, &PluginTable)> {
         let mut all = vec![("upper.material", &self.upper.material), ("lower.material", &self.lower.material)];
         if let SubjectConfig::Synthetic(s) = &self.subject {
             all.push(("subject.upper_material", &s.upper_material));
@@ -447,167 +487,20 @@ impl Config {
         }
         all
     }
-    /// Refuses paths that lead to no file, before hours are spent on the way to the stage that reads them.
-    ///
-    /// # Errors
-    /// [`Error::Config`] naming the key and the path.
-    pub fn check_files(&self, files: &ProjectFiles) -> Result<()> {
-        let mut named: Vec<(&str, &Path)> = Vec::new();
-        let clips = self.motion.clips.iter().map(|clip| ("motion.clips", clip));
-        for (key, clip) in clips.chain([("animate.clip", &self.animate.clip)]) {
-            match clip {
-                ClipConfig::Procedural { .. } => {}
-                ClipConfig::Amass { path, .. } => named.push((key, path)),
-                ClipConfig::AsfAmc { skeleton, path, .. } => named.extend([(key, &**skeleton), (key, &**path)]),
-            }
-        }
-        named.extend(self.evaluate.ground_truth.as_deref().map(|path| ("evaluate.ground_truth", path)));
-        for (key, path) in named {
-            let resolved = files.resolve(path)?;
-            if !resolved.is_file() {
-                return Err(Error::config(key, format!("{} is not a file", resolved.display()), "correct the path"));
-            }
-        }
-        Ok(())
-    }
-    fn check(&self) -> Result<()> {
-        let positive = |key: &str, value: f64| {
-            if value.is_finite() && value > 0.0 {
-                Ok(())
-            } else {
-                Err(Error::config(key, format!("{value}"), "give a positive number"))
-            }
-        };
-        let count = |key: &str, value: usize, least: usize, most: usize| {
-            if (least..=most).contains(&value) {
-                Ok(())
-            } else {
-                Err(Error::config(key, format!("{value}"), format!("give {least} to {most}")))
-            }
-        };
-        let not_negative = |key: &str, value: f64| {
-            if value.is_finite() && value >= 0.0 {
-                Ok(())
-            } else {
-                Err(Error::config(key, format!("{value}"), "give 0 or a positive number"))
-            }
-        };
-        let resolution = |key: &str, value: f64| {
-            let StyleRange { lower, upper, .. } = RESOLUTION_RANGE;
-            if (lower..=upper).contains(&value) {
-                Ok(())
-            } else {
-                Err(Error::config(key, format!("{value}"), format!("give {lower} to {upper} m")))
-            }
-        };
-        for (key, material) in self.materials() {
-            material.spec(key)?.build().map_err(|error| match error {
-                // A material knows its own keys only.
-                Error::Config { key: own, problem, remedy } => {
-                    let own = own.strip_prefix("material.").unwrap_or(&own);
-                    Error::config(format!("{key}.{own}"), problem, remedy)
-                }
-                other => other,
-            })?;
-        }
-        for (name, garment) in [("upper", &self.upper), ("lower", &self.lower)] {
-            count(&format!("{name}.styles"), garment.styles, 1, 100_000)?;
-            resolution(&format!("{name}.resolution_m"), garment.resolution_m)?;
-        }
-        for (key, clip) in
-            self.motion.clips.iter().map(|c| ("motion.clips", c)).chain([("animate.clip", &self.animate.clip)])
-        {
-            match clip {
-                ClipConfig::Procedural { seconds, .. } => positive(&format!("{key}.seconds"), *seconds)?,
-                ClipConfig::Amass { .. } => {}
-                ClipConfig::AsfAmc { fps, .. } => positive(&format!("{key}.fps"), *fps)?,
-            }
-        }
-        self.registration.check()?;
-        // Sizes that no net can have; the real numbers of inputs and outputs follow from body and garment.
-        self.net.build(1, 3)?;
-        if let SubjectConfig::Synthetic(s) = &self.subject {
-            count("subject.scans", s.scans, 2, 1000)?;
-            count("subject.held_out", s.held_out, 0, s.scans - 1)?;
-            not_negative("subject.noise_m", s.noise_m)?;
-            resolution("subject.resolution_m", s.resolution_m)?;
-        }
-        count("views.count", self.views.count, 1, 10_000)?;
-        count("views.size", self.views.size, 16, 16_384)?;
-        count("motion.clips", self.motion.clips.len(), 1, 1_000_000)?;
-        positive("motion.fps", self.motion.fps)?;
-        let train = &self.train;
-        count("train.batch", train.batch, 1, 16)?;
-        count("train.window", train.window, 1, 1000)?;
-        count("train.windows", train.windows, 1, usize::MAX)?;
-        count("train.checkpoint_every", train.checkpoint_every, 1, usize::MAX)?;
-        count("optimise.alternations", self.optimise.alternations, 0, 8)?;
-        positive("train.learning_rate", train.learning_rate)?;
-        positive("train.final_rate", train.final_rate)?;
-        positive("train.clip_norm", train.clip_norm)?;
-        if train.final_rate > 1.0 {
-            return Err(Error::config("train.final_rate", format!("{}", train.final_rate), "give a share, at most 1"));
-        }
-        positive("train.output_scale_m", train.output_scale_m)?;
-        count("train.scan_points", train.scan_points, 1, usize::MAX)?;
-        let TermWeights { strain, bending, gravity, inertia, collision, attachment, scan, layering } = train.weights;
-        for (name, weight) in [
-            ("strain", strain),
-            ("bending", bending),
-            ("gravity", gravity),
-            ("inertia", inertia),
-            ("collision", collision),
-            ("attachment", attachment),
-            ("scan", scan),
-            ("layering", layering),
-        ] {
-            not_negative(&format!("train.weights.{name}"), weight)?;
-        }
-        let ContactOptions { margin, allowed_depth, load } = train.contact;
-        not_negative("train.contact.margin", margin)?;
-        positive("train.contact.allowed_depth", allowed_depth)?;
-        not_negative("train.contact.load", load)?;
-        let layering = &self.finetune.layering;
-        not_negative("finetune.layering.margin", layering.margin)?;
-        not_negative("finetune.layering.reach", layering.reach)?;
-        not_negative("finetune.layering.weight", layering.weight)?;
-        not_negative("optimise.force_balance.regularisation", self.optimise.force_balance.regularisation)?;
-        not_negative("evaluate.penetration_m", self.evaluate.penetration_m)?;
-        not_negative("animate.push_out_m", self.animate.push_out_m)?;
-        positive("finetune.learning_rate", self.finetune.learning_rate)?;
-        let factor = self.optimise.force_balance.largest_factor;
-        if factor.is_nan() || factor < 1.0 {
-            let key = "optimise.force_balance.largest_factor";
-            return Err(Error::config(key, factor.to_string(), "give a number of at least 1"));
-        }
-        count("animate.obj_every", self.animate.obj_every, 1, usize::MAX)?;
-        positive("animate.seconds", self.animate.seconds)
-    }
 }
 
-/// Line and column of the TOML parser's error, or of the key it names when a plugin's table lost its place.
+/// A TOML file as a table.
 ///
-/// `from` is where the table stands whose place was lost.
-fn parse_error(path: &Path, text: &str, error: &toml::de::Error, from: usize) -> Error {
-    let message = error.message().trim().to_string();
-    let named = message
-        .strip_prefix("unknown field `")
-        .or_else(|| message.strip_prefix("unknown variant `"))
-        .and_then(|rest| rest.split('`').next());
-    let from = error.span().map_or(from, |s| s.start);
-    let place = named.and_then(|name| find_word(text, name, from).or_else(|| find_word(text, name, 0))).unwrap_or(from);
-    let before = &text[..place.min(text.len())];
-    let line = before.matches('\n').count() + 1;
-    let column = before.rsplit('\n').next().map_or(0, |l| l.chars().count()) + 1;
-    let remedy = if named.is_some() { "correct or remove it" } else { "correct the line" };
-    Error::format(path, format!("line {line}, column {column}"), message, remedy)
+/// # Errors
+/// [`Error::Format`] with line and column.
+pub(crate) fn parse_table(path: &Path, text: &str) -> Result<toml::Table> {
+    text.parse().map_err(|e: toml::de::Error| {
+        place::at(path, text, e.span().map_or(0, |s| s.start), e.message().trim(), "correct the line")
+    })
 }
 
-/// Byte position of a whole word at or after `from`.
-fn find_word(text: &str, word: &str, from: usize) -> Option<usize> {
-    let is_word = |c: char| c.is_alphanumeric() || c == '_' || c == '-';
-    text[from..].match_indices(word).map(|(i, _)| i + from).find(|&i| {
-        !text[..i].chars().next_back().is_some_and(is_word)
-            && !text[i + word.len()..].chars().next().is_some_and(is_word)
-    })
+/// Paths of the libraries that a configuration names, as far as it can be read yet.
+fn libraries(table: &toml::Table) -> Vec<PathBuf> {
+    let listed = table.get("plugin").and_then(|p| p.as_array()).into_iter().flatten();
+    listed.filter_map(|p| Some(PathBuf::from(p.get("path")?.as_str()?))).collect()
 }

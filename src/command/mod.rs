@@ -1,0 +1,13 @@
+//! The subcommands: arguments in, text out. What they do stands in the library.
+
+pub(crate) mod probe;
+pub(crate) mod run;
+pub(crate) mod show;
+
+use caphy_core::{Error, Result};
+use serde::Serialize;
+
+/// A value as JSON for scripts: every float with all its digits.
+fn json(value: &impl Serialize) -> Result<String> {
+    serde_json::to_string_pretty(value).map_err(|e| Error::numerics("JSON", e.to_string(), "report this as a defect"))
+}

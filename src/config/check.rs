@@ -1,0 +1,141 @@
+//! Values that cannot be used are refused before anything runs.
+
+use super::{ClipConfig, Config, SubjectConfig, TermWeights};
+use crate::files::ProjectFiles;
+use caphy_core::{Error, Result};
+use caphy_garment::energy::ContactOptions;
+use caphy_garment::template::{RESOLUTION_RANGE, StyleRange};
+use std::path::Path;
+
+impl Config {
+    /// Refuses paths that lead to no file, before hours are spent on the way to the stage that reads them.
+    ///
+    /// # Errors
+    /// [`Error::Config`] naming the key and the path.
+    pub fn check_files(&self, files: &ProjectFiles) -> Result<()> {
+        let mut named: Vec<(&str, &Path)> = Vec::new();
+        let clips = self.motion.clips.iter().map(|clip| ("motion.clips", clip));
+        for (key, clip) in clips.chain([("animate.clip", &self.animate.clip)]) {
+            match clip {
+                ClipConfig::Procedural { .. } => {}
+                ClipConfig::Amass { path, .. } => named.push((key, path)),
+                ClipConfig::AsfAmc { skeleton, path, .. } => named.extend([(key, &**skeleton), (key, &**path)]),
+            }
+        }
+        named.extend(self.evaluate.ground_truth.as_deref().map(|path| ("evaluate.ground_truth", path)));
+        for (key, path) in named {
+            let resolved = files.resolve(path)?;
+            if !resolved.is_file() {
+                return Err(Error::config(key, format!("{} is not a file", resolved.display()), "correct the path"));
+            }
+        }
+        Ok(())
+    }
+    /// Refuses values that no stage could use.
+    pub(super) fn check(&self) -> Result<()> {
+        let positive = |key: &str, value: f64| {
+            if value.is_finite() && value > 0.0 {
+                Ok(())
+            } else {
+                Err(Error::config(key, format!("{value}"), "give a positive number"))
+            }
+        };
+        let count = |key: &str, value: usize, least: usize, most: usize| {
+            if (least..=most).contains(&value) {
+                Ok(())
+            } else {
+                Err(Error::config(key, format!("{value}"), format!("give {least} to {most}")))
+            }
+        };
+        let not_negative = |key: &str, value: f64| {
+            if value.is_finite() && value >= 0.0 {
+                Ok(())
+            } else {
+                Err(Error::config(key, format!("{value}"), "give 0 or a positive number"))
+            }
+        };
+        let resolution = |key: &str, value: f64| {
+            let StyleRange { lower, upper, .. } = RESOLUTION_RANGE;
+            if (lower..=upper).contains(&value) {
+                Ok(())
+            } else {
+                Err(Error::config(key, format!("{value}"), format!("give {lower} to {upper} m")))
+            }
+        };
+        for (key, material) in self.materials() {
+            material.material(key)?;
+        }
+        for (name, garment) in [("upper", &self.upper), ("lower", &self.lower)] {
+            count(&format!("{name}.styles"), garment.styles, 1, 100_000)?;
+            resolution(&format!("{name}.resolution_m"), garment.resolution_m)?;
+        }
+        for (key, clip) in
+            self.motion.clips.iter().map(|c| ("motion.clips", c)).chain([("animate.clip", &self.animate.clip)])
+        {
+            match clip {
+                ClipConfig::Procedural { seconds, .. } => positive(&format!("{key}.seconds"), *seconds)?,
+                ClipConfig::Amass { .. } => {}
+                ClipConfig::AsfAmc { fps, .. } => positive(&format!("{key}.fps"), *fps)?,
+            }
+        }
+        self.registration.check()?;
+        // Sizes that no net has; the real numbers of inputs and outputs follow from body and garment.
+        self.net.net(1, 3)?;
+        if let SubjectConfig::Synthetic(s) = &self.subject {
+            count("subject.scans", s.scans, 2, 1000)?;
+            count("subject.held_out", s.held_out, 0, s.scans - 1)?;
+            not_negative("subject.noise_m", s.noise_m)?;
+            resolution("subject.resolution_m", s.resolution_m)?;
+        }
+        count("views.count", self.views.count, 1, 10_000)?;
+        count("views.size", self.views.size, 16, 16_384)?;
+        count("motion.clips", self.motion.clips.len(), 1, 1_000_000)?;
+        positive("motion.fps", self.motion.fps)?;
+        let train = &self.train;
+        count("train.batch", train.batch, 1, 16)?;
+        count("train.window", train.window, 1, 1000)?;
+        count("train.windows", train.windows, 1, usize::MAX)?;
+        count("train.checkpoint_every", train.checkpoint_every, 1, usize::MAX)?;
+        count("optimise.alternations", self.optimise.alternations, 0, 8)?;
+        positive("train.learning_rate", train.learning_rate)?;
+        positive("train.final_rate", train.final_rate)?;
+        positive("train.clip_norm", train.clip_norm)?;
+        if train.final_rate > 1.0 {
+            return Err(Error::config("train.final_rate", format!("{}", train.final_rate), "give a share, at most 1"));
+        }
+        positive("train.output_scale_m", train.output_scale_m)?;
+        count("train.scan_points", train.scan_points, 1, usize::MAX)?;
+        let TermWeights { strain, bending, gravity, inertia, collision, attachment, scan, layering } = train.weights;
+        for (name, weight) in [
+            ("strain", strain),
+            ("bending", bending),
+            ("gravity", gravity),
+            ("inertia", inertia),
+            ("collision", collision),
+            ("attachment", attachment),
+            ("scan", scan),
+            ("layering", layering),
+        ] {
+            not_negative(&format!("train.weights.{name}"), weight)?;
+        }
+        let ContactOptions { margin, allowed_depth, load } = train.contact;
+        not_negative("train.contact.margin", margin)?;
+        positive("train.contact.allowed_depth", allowed_depth)?;
+        not_negative("train.contact.load", load)?;
+        let layering = &self.finetune.layering;
+        not_negative("finetune.layering.margin", layering.margin)?;
+        not_negative("finetune.layering.reach", layering.reach)?;
+        not_negative("finetune.layering.weight", layering.weight)?;
+        not_negative("optimise.force_balance.regularisation", self.optimise.force_balance.regularisation)?;
+        not_negative("evaluate.penetration_m", self.evaluate.penetration_m)?;
+        not_negative("animate.push_out_m", self.animate.push_out_m)?;
+        positive("finetune.learning_rate", self.finetune.learning_rate)?;
+        let factor = self.optimise.force_balance.largest_factor;
+        if factor.is_nan() || factor < 1.0 {
+            let key = "optimise.force_balance.largest_factor";
+            return Err(Error::config(key, factor.to_string(), "give a number of at least 1"));
+        }
+        count("animate.obj_every", self.animate.obj_every, 1, usize::MAX)?;
+        positive("animate.seconds", self.animate.seconds)
+    }
+}

@@ -1,0 +1,3 @@
+//! Pictures and facts of inputs: `caphy show …`.
+
+pub mod fabrics;
