@@ -154,7 +154,7 @@ mod tests {
         assert!(svg.contains("a &lt; b") && !svg.contains("NaN"), "{svg}");
         assert_eq!(ticks(0.0, 1.0), [0.0, 0.2, 0.4, 0.6000000000000001, 0.8, 1.0]);
         assert_eq!(ticks(1.0, 1.25).len(), 6);
-        assert!(ticks(-3.2, 4.1).iter().any(|t| *t == 0.0));
+        assert!(ticks(-3.2, 4.1).contains(&0.0));
         assert_eq!([number(0.0), number(1234.0), number(0.05), number(1e-9)], ["0", "1234", "0.05", "1.00e-9"]);
     }
 }

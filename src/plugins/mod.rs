@@ -23,7 +23,7 @@ use std::sync::{Arc, OnceLock};
 
 /// Types that this program ships. One that is not linked is a mistake of the build, found at the start of every run.
 const SHIPPED: [(Kind, &[&str]); 4] = [
-    (Kind::Material, &["measured", "stvk"]),
+    (Kind::Material, &["measured", "neo_hookean", "stvk"]),
     (Kind::Net, &["gru", "mlp"]),
     (Kind::Body, &["mannequin", "smplx"]),
     (Kind::Segmenter, &["colour", "vertex"]),

@@ -37,6 +37,25 @@ impl Real for f64 {
     }
 }
 
+/// Whether kernels may use AVX-512. A build with `RUSTFLAGS="--cfg caphy_no_avx512"` never does: for measuring what slower
+/// machines will see.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+pub fn has_avx512() -> bool {
+    !cfg!(any(caphy_no_avx512, caphy_no_simd))
+        && is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512vl")
+        && is_x86_feature_detected!("avx512dq")
+        && is_x86_feature_detected!("avx512bw")
+}
+
+/// Whether kernels may use AVX2; never in a build with `RUSTFLAGS="--cfg caphy_no_simd"`.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+pub fn has_avx2() -> bool {
+    !cfg!(caphy_no_simd) && is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
+}
+
 /// Defines a generic kernel that runs with AVX-512 or AVX2 when the processor has them, without build flags.
 ///
 /// The body is plain scalar code in a loop over lanes, compiled three times; results are the same bits on all three
@@ -56,26 +75,26 @@ impl Real for f64 {
 /// ```
 #[macro_export]
 macro_rules! simd_kernel {
-    ($(#[$meta:meta])* $vis:vis fn $name:ident<$T:ident>($($arg:ident : $ty:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
+    (
+        $(#[$meta:meta])*
+        $vis:vis fn $name:ident<$T:ident $(: $extra:path)? $(, $G:ident : $bound:path)*>($($arg:ident : $ty:ty),* $(,)?) $(-> $ret:ty)?
+        $body:block
+    ) => {
         $(#[$meta])*
-        $vis fn $name<$T: $crate::Real>($($arg: $ty),*) $(-> $ret)? {
+        $vis fn $name<$T: $crate::Real $(+ $extra)? $(, $G: $bound)*>($($arg: $ty),*) $(-> $ret)? {
             #[inline(always)]
-            fn plain<$T: $crate::Real>($($arg: $ty),*) $(-> $ret)? $body
+            fn plain<$T: $crate::Real $(+ $extra)? $(, $G: $bound)*>($($arg: $ty),*) $(-> $ret)? $body
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma")]
-                fn avx512<$T: $crate::Real>($($arg: $ty),*) $(-> $ret)? { plain($($arg),*) }
+                fn avx512<$T: $crate::Real $(+ $extra)? $(, $G: $bound)*>($($arg: $ty),*) $(-> $ret)? { plain($($arg),*) }
                 #[target_feature(enable = "avx2,fma")]
-                fn avx2<$T: $crate::Real>($($arg: $ty),*) $(-> $ret)? { plain($($arg),*) }
-                if is_x86_feature_detected!("avx512f")
-                    && is_x86_feature_detected!("avx512vl")
-                    && is_x86_feature_detected!("avx512dq")
-                    && is_x86_feature_detected!("avx512bw")
-                {
+                fn avx2<$T: $crate::Real $(+ $extra)? $(, $G: $bound)*>($($arg: $ty),*) $(-> $ret)? { plain($($arg),*) }
+                if $crate::simd::has_avx512() {
                     // SAFETY: the features that the callee enables were detected just above.
                     return unsafe { avx512($($arg),*) };
                 }
-                if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+                if $crate::simd::has_avx2() {
                     // SAFETY: the features that the callee enables were detected just above.
                     return unsafe { avx2($($arg),*) };
                 }

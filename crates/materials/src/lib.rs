@@ -3,6 +3,7 @@
 //! | type | model | membrane | bending |
 //! |---|---|---|---|
 //! | `stvk` | [`MaterialStvk`] | plain Saint Venant-Kirchhoff, two constants (Eq. 5) | one constant (Eq. 7) |
+//! | `neo_hookean` | [`MaterialNeoHookean`] | neo-Hookean, two constants, resists collapse | one constant |
 //! | `measured` | [`MaterialMeasured`] | ten measured fabrics, four constants looked up by strain | looked up by fold direction and curvature |
 //!
 //! # Licence of the fabric data
@@ -27,8 +28,11 @@
 mod angle;
 mod bounds;
 mod chunk;
+mod lame;
 pub mod measured;
+pub mod neo_hookean;
 pub mod stvk;
 
 pub use measured::{MaterialMeasured, MaterialMeasuredSpec};
+pub use neo_hookean::{MaterialNeoHookean, MaterialNeoHookeanSpec};
 pub use stvk::{MaterialStvk, MaterialStvkSpec};

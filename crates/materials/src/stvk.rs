@@ -1,7 +1,8 @@
 //! Plain Saint Venant-Kirchhoff sheet: two membrane constants, one bending constant (Eqs. 5 and 7).
 
-use crate::bounds::{LARGEST_STIFFNESS, bounded};
+use crate::bounds::bounded;
 use crate::chunk::{clamp, strain_limit};
+use crate::lame::{LameKeys, check_bending, check_density, check_lame};
 use caphy_core::material::{
     HingeBlock, HingeCall, HingeLength, MaterialDescription, MaterialModel, MaterialOutputs, MaterialSpec,
     MembraneBlock, MembraneCall,
@@ -12,12 +13,8 @@ use caphy_core::{Error, Real, Result, simd_kernel};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// The groups of keys that give the membrane constants, as error messages list them.
-const GROUPS: &str = "give exactly one of: (lambda_pa, mu_pa, thickness_m), (lambda_n_per_m, mu_n_per_m), \
-                      (young_pa, poisson, thickness_m)";
-
 /// SNUG's bending constant [N·m]: 50 E t³ / (12 (1−ν²)).
-const SNUG_BENDING: f64 = 3.959_56e-5;
+pub(crate) const SNUG_BENDING: f64 = 3.959_56e-5;
 
 /// The keys of `[material] type = "stvk"`.
 ///
@@ -58,7 +55,7 @@ pub struct MaterialStvkSpec {
     pub hinge_length: HingeLength,
 }
 
-fn default_bending() -> NewtonMetre {
+pub(crate) fn default_bending() -> NewtonMetre {
     NewtonMetre(SNUG_BENDING)
 }
 
@@ -79,54 +76,16 @@ impl MaterialStvkSpec {
         }
     }
 
-    /// λ and μ of the sheet [N/m] from whichever group was given.
-    ///
-    /// # Errors
-    /// [`Error::Config`] when no group or more than one is given, or a value is not physical.
-    fn lame(&self) -> Result<(NewtonPerMetre, NewtonPerMetre)> {
-        let given = (
-            (self.lambda_pa, self.mu_pa),
-            (self.lambda_n_per_m, self.mu_n_per_m),
-            (self.young_pa, self.poisson),
-            self.thickness_m,
-        );
-        match given {
-            ((Some(lambda), Some(mu)), (None, None), (None, None), Some(thickness)) => {
-                let thickness = positive_thickness(thickness)?;
-                Ok((lambda.times_thickness(thickness), mu.times_thickness(thickness)))
-            }
-            ((None, None), (Some(lambda), Some(mu)), (None, None), None) => Ok((lambda, mu)),
-            ((None, None), (None, None), (Some(young), Some(poisson)), Some(thickness)) => {
-                let thickness = positive_thickness(thickness)?;
-                if !(poisson > -1.0 && poisson <= 0.5) {
-                    return Err(Error::config(
-                        "material.poisson",
-                        format!("{poisson} is not a Poisson's ratio"),
-                        "give a value in (-1, 0.5]; 0.5 is incompressible",
-                    ));
-                }
-                let plane = young.0 / (1.0 - poisson * poisson);
-                Ok((
-                    Pascal(plane * poisson).times_thickness(thickness),
-                    Pascal(plane * (1.0 - poisson) / 2.0).times_thickness(thickness),
-                ))
-            }
-            _ => Err(Error::config("material", format!("membrane keys given: {}", self.given_keys()), GROUPS)),
+    fn keys(&self) -> LameKeys {
+        LameKeys {
+            lambda_pa: self.lambda_pa,
+            mu_pa: self.mu_pa,
+            lambda_n_per_m: self.lambda_n_per_m,
+            mu_n_per_m: self.mu_n_per_m,
+            young_pa: self.young_pa,
+            poisson: self.poisson,
+            thickness_m: self.thickness_m,
         }
-    }
-
-    fn given_keys(&self) -> String {
-        let keys = [
-            ("lambda_pa", self.lambda_pa.is_some()),
-            ("mu_pa", self.mu_pa.is_some()),
-            ("lambda_n_per_m", self.lambda_n_per_m.is_some()),
-            ("mu_n_per_m", self.mu_n_per_m.is_some()),
-            ("young_pa", self.young_pa.is_some()),
-            ("poisson", self.poisson.is_some()),
-            ("thickness_m", self.thickness_m.is_some()),
-        ];
-        let given: Vec<&str> = keys.iter().filter(|k| k.1).map(|k| k.0).collect();
-        if given.is_empty() { "none".into() } else { given.join(", ") }
     }
 
     /// The material itself, for callers that know its type.
@@ -134,22 +93,8 @@ impl MaterialStvkSpec {
     /// # Errors
     /// [`Error::Config`] naming the key, its value and the valid range or groups.
     pub fn build_stvk(&self) -> Result<MaterialStvk> {
-        let (lambda, mu) = self.lame()?;
-        check_lame(lambda.0, mu.0).map_err(|_| {
-            Error::config(
-                "material",
-                format!("lambda = {lambda} and mu = {mu} do not make a stable sheet"),
-                format!("mu and lambda + mu must be positive and at most {LARGEST_STIFFNESS:e} N/m"),
-            )
-        })?;
-        let bending = self.bending_nm;
-        if !(bending.0 >= 0.0 && bending.0 <= LARGEST_STIFFNESS) {
-            return Err(Error::config(
-                "material.bending_nm",
-                format!("{bending} is not a bending stiffness"),
-                format!("give a value in [0, {LARGEST_STIFFNESS:e}] N·m"),
-            ));
-        }
+        let (lambda, mu) = self.keys().lame()?;
+        let bending = check_bending(self.bending_nm)?;
         check_density(self.density_kg_per_m2)?;
         let parameters = [
             bounded("lambda".into(), NewtonPerMetre::SYMBOL, lambda.0, mu.0),
@@ -171,48 +116,6 @@ impl MaterialStvkSpec {
 impl MaterialSpec for MaterialStvkSpec {
     fn build(&self) -> Result<Box<dyn MaterialModel>> {
         Ok(Box::new(self.build_stvk()?))
-    }
-}
-
-fn positive_thickness(thickness: Metre) -> Result<Metre> {
-    if thickness.0 > 0.0 && thickness.0.is_finite() {
-        Ok(thickness)
-    } else {
-        Err(Error::config(
-            "material.thickness_m",
-            format!("{thickness} is not a thickness"),
-            "give a positive value in metres; clothes have 1e-4 to 5e-3",
-        ))
-    }
-}
-
-/// `Ok` for an absent density or one that is positive and finite.
-pub(crate) fn check_density(density: Option<KilogramPerSquareMetre>) -> Result<()> {
-    match density {
-        Some(value) if !(value.0 > 0.0 && value.0.is_finite()) => Err(Error::config(
-            "material.density_kg_per_m2",
-            format!("{value} is not an area density"),
-            "give a positive value; clothes have 0.05 to 1 kg/m²",
-        )),
-        _ => Ok(()),
-    }
-}
-
-/// `Ok` when the sheet's energy is positive for every strain: μ > 0 and λ + μ > 0 (two dimensions).
-fn check_lame(lambda: f64, mu: f64) -> Result<()> {
-    let problem = |name: &str, value: f64, lower: f64| Error::Parameter {
-        name: name.into(),
-        value,
-        lower,
-        upper: LARGEST_STIFFNESS,
-        unit: NewtonPerMetre::SYMBOL.into(),
-    };
-    if !(mu > 0.0 && mu <= LARGEST_STIFFNESS) {
-        Err(problem("mu", mu, 0.0))
-    } else if !(lambda > -mu && lambda <= LARGEST_STIFFNESS) {
-        Err(problem("lambda", lambda, -mu))
-    } else {
-        Ok(())
     }
 }
 

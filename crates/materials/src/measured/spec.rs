@@ -3,7 +3,7 @@
 use super::MaterialMeasured;
 use super::fabrics::Fabric;
 use super::parameters::Entries;
-use crate::stvk::check_density;
+use crate::lame::check_density;
 use caphy_core::material::{MaterialModel, MaterialSpec};
 use caphy_core::units::KilogramPerSquareMetre;
 use caphy_core::{Error, Result};
