@@ -9,6 +9,7 @@
 
 pub mod array;
 pub mod body;
+pub mod conformance;
 pub mod energy_material;
 pub mod error;
 pub mod extension;
