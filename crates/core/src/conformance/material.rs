@@ -430,7 +430,9 @@ pub fn bending_ignores_the_edges_sense(model: &dyn MaterialModel) -> Outcome {
         let [a, b] = hinge.directions;
         let k = |directions| model.bending_stiffness(&Hinge { directions, ..hinge }).map_err(unexpected("a hinge"));
         let (here, back, swapped) = (k([a, b])?, k([[-a[0], -a[1]], [-b[0], -b[1]]])?, k([b, a])?);
-        ensure((back - here).abs() <= 1e-12 * here.abs(), || format!("{here} and, backwards, {back} N·m for {hinge:?}"))?;
+        ensure((back - here).abs() <= 1e-12 * here.abs(), || {
+            format!("{here} and, backwards, {back} N·m for {hinge:?}")
+        })?;
         ensure((swapped - here).abs() <= 1e-12 * here.abs(), || {
             format!("{here} and, sides exchanged, {swapped} N·m for {hinge:?}")
         })?;

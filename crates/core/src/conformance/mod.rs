@@ -21,11 +21,11 @@
 //! Optional behaviour is declared by the plugin; what is not offered must be refused with
 //! [`Error::Unsupported`](crate::Error::Unsupported), and is then reported as not offered, not as passed.
 
-//BODY
+pub mod body;
 mod differences;
 pub mod material;
-//NET
-//SEG
+pub mod net;
+pub mod segmenter;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
