@@ -1,6 +1,10 @@
 //! The conformance kit itself: each check rejects an implementation that is wrong in that one thing, and only it.
 
+mod body;
 mod material;
+mod net;
+mod segmenter;
+mod table;
 
 use caphy_core::conformance::{Check, Verdict, run_all};
 use std::collections::BTreeSet;
