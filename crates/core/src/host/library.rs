@@ -3,6 +3,8 @@
 use super::call::Callee;
 use super::material::LoadedMaterial;
 use super::net::LoadedNet;
+use crate::conformance::material::MaterialSubject;
+use crate::conformance::net::NetSubject;
 use crate::material::MaterialModel;
 use crate::net::DeformationNet;
 use crate::plugin::abi::{
@@ -11,6 +13,10 @@ use crate::plugin::abi::{
 };
 use crate::{Error, PluginProblem, Result};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Writes a table back.
+type Normaliser = Box<dyn Fn(&str) -> Result<String> + Send + Sync>;
 
 /// What a loaded type is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -185,6 +191,42 @@ impl Library {
             Functions::Net(table) => Ok(Box::new(LoadedNet::create(callee, table, toml, inputs, outputs)?)),
             Functions::Material(_) => Err(callee.malformed("create", "a material's table")),
         }
+    }
+
+    /// A material type with a table of its own, ready for [`crate::conformance`].
+    pub fn material_subject(self: &Arc<Self>, name: &str, toml: &str) -> MaterialSubject {
+        let (library, type_name) = (Arc::clone(self), name.to_string());
+        MaterialSubject {
+            toml: toml.into(),
+            create: Box::new(move |text| library.material(&type_name, text)),
+            normalise: self.normaliser(PluginKind::Material, name),
+        }
+    }
+
+    /// A net type with a table of its own, ready for [`crate::conformance`].
+    pub fn net_subject(self: &Arc<Self>, name: &str, toml: &str) -> NetSubject {
+        let (library, type_name) = (Arc::clone(self), name.to_string());
+        NetSubject {
+            toml: toml.into(),
+            create: Box::new(move |text, inputs, outputs| library.net(&type_name, text, inputs, outputs)),
+            normalise: self.normaliser(PluginKind::Net, name),
+        }
+    }
+
+    /// [`Library::normalise`] of one type, where it has one.
+    fn normaliser(self: &Arc<Self>, kind: PluginKind, name: &str) -> Option<Normaliser> {
+        let has = match self.find(kind, name).ok()? {
+            Functions::Material(table) => table.normalise.is_some(),
+            Functions::Net(table) => table.normalise.is_some(),
+        };
+        let (library, name) = (Arc::clone(self), name.to_string());
+        has.then(|| {
+            let write = move |text: &str| {
+                let written = library.normalise(kind, &name, text)?;
+                written.ok_or_else(|| Error::unsupported("writing a table back", &name))
+            };
+            Box::new(write) as Normaliser
+        })
     }
 
     /// A table with every default filled in; `None` when the plugin cannot say.
