@@ -5,6 +5,7 @@
 
 pub mod artifact;
 pub mod config;
+pub mod conformity;
 pub mod files;
 pub mod fixed_shape;
 pub mod garment;

@@ -33,6 +33,9 @@ enum Command {
     /// Ask a material for its answers to deformation gradients or folds.
     #[command(after_help = command::probe::EXAMPLES)]
     Probe(command::probe::Arguments),
+    /// Check a plugin against the promise of its trait; fails when a check fails.
+    #[command(after_help = command::check::EXAMPLES)]
+    Check(command::check::Arguments),
 }
 
 fn main() -> ExitCode {
@@ -60,5 +63,6 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Run(arguments) => command::run::run(arguments, &mut plugins),
         Command::Show(what) => command::show::run(what),
         Command::Probe(arguments) => command::probe::run(arguments, &plugins),
+        Command::Check(arguments) => command::check::run(arguments, &mut plugins),
     }
 }

@@ -96,7 +96,7 @@ impl Plugins {
     }
 
     /// The library that offers a type.
-    fn library(&self, kind: Kind, name: &str) -> Option<&Arc<Library>> {
+    pub(crate) fn library(&self, kind: Kind, name: &str) -> Option<&Arc<Library>> {
         let offers = |l: &&Arc<Library>| l.types().iter().any(|t| Some(t.kind) == kind.loadable() && t.name == name);
         self.libraries.iter().find(offers)
     }

@@ -7,6 +7,7 @@ use caphy_core::files::Files;
 use caphy_core::host::{Library, PluginKind};
 use caphy_core::material::{MaterialModel, MaterialSpec};
 use caphy_core::net::{DeformationNet, NetSpec};
+use caphy_core::plugin::WHOLE_TABLE;
 use caphy_core::segmenter::{Segmenter, SegmenterSpec};
 use caphy_core::{Error, Result};
 use serde::de::DeserializeOwned;
@@ -84,7 +85,11 @@ impl PluginTable {
                 PluginKind::Material => library.material(&name, &text).map(drop),
                 PluginKind::Net => library.net(&name, &text, 1, 3).map(drop),
             }
-            .map_err(|e| e.to_string())?;
+            .map_err(|error| match error {
+                // What a parser says of a table is said in the file's own terms.
+                Error::Config { key, problem, .. } if key == WHOLE_TABLE => problem,
+                other => other.to_string(),
+            })?;
             if let Some(full) = library.normalise(loadable, &name, &text).map_err(|e| e.to_string())? {
                 self.table = toml::from_str(&full).map_err(|e| format!("`{name}` wrote a table back wrongly: {e}"))?;
             }

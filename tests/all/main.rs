@@ -10,5 +10,7 @@ mod config;
 mod experiment;
 /// From scans to report: results, resuming, same bits.
 mod pipeline;
+/// Plugin libraries in the whole program.
+mod plugins;
 /// Clothed people that nobody here made.
 mod standin;

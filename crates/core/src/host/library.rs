@@ -69,8 +69,11 @@ impl Library {
         }
         let absolute = std::path::absolute(path).map_err(|e| Error::io(path, "find", e))?;
         // SAFETY: loading runs the library's initialisers; whoever names a library in a configuration trusts its code.
-        let library = unsafe { libloading::Library::new(&absolute) }
-            .map_err(|e| Error::plugin(path, PluginProblem::NotALibrary { reason: e.to_string() }))?;
+        let library = unsafe { libloading::Library::new(&absolute) }.map_err(|e| {
+            // The loader's own words are the error's source.
+            let reason = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
+            Error::plugin(path, PluginProblem::NotALibrary { reason })
+        })?;
         // Never unloaded: handles, tables and names point into it.
         let library: &'static libloading::Library = Box::leak(Box::new(library));
         let missing = |symbol: &str| Error::plugin(path, PluginProblem::MissingSymbol { symbol: symbol.into() });

@@ -124,6 +124,9 @@ unsafe fn guarded(error: Sink, run: impl FnOnce() -> Result<()>) -> i32 {
     status
 }
 
+/// The key of an error about a table that cannot be read at all: the parser's message says where.
+pub const WHOLE_TABLE: &str = "(table)";
+
 /// The text of a table as a specification.
 ///
 /// # Safety
@@ -134,8 +137,8 @@ where
 {
     // SAFETY: the caller vouches for the text.
     let text = unsafe { toml.get() };
-    let text = text.ok_or_else(|| Error::config("(table)", "is not UTF-8 text", "hand over UTF-8"))?;
-    toml::from_str(text).map_err(|e| Error::config("(table)", e.message().trim(), "correct the table"))
+    let text = text.ok_or_else(|| Error::config(WHOLE_TABLE, "is not UTF-8 text", "hand over UTF-8"))?;
+    toml::from_str(text).map_err(|e| Error::config(WHOLE_TABLE, e.message().trim(), "correct the table"))
 }
 
 unsafe extern "C" fn normalise<S: ?Sized>(toml: Text, out: Sink, error: Sink) -> i32
@@ -146,7 +149,7 @@ where
         // SAFETY: the host keeps text and sink alive during the call.
         let spec = unsafe { spec::<S>(toml) }?;
         let text = toml::to_string(&spec)
-            .map_err(|e| Error::config("(table)", e.to_string(), "report this to the plugin's author"))?;
+            .map_err(|e| Error::config(WHOLE_TABLE, e.to_string(), "report this to the plugin's author"))?;
         // SAFETY: as above.
         unsafe { out.put(&text) };
         Ok(())

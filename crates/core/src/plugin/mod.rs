@@ -46,3 +46,4 @@ pub mod export;
 pub mod header;
 
 pub use abi::{ABI_VERSION, OK, Sink};
+pub use export::WHOLE_TABLE;
