@@ -6,7 +6,7 @@ use caphy_core::extension::{Hinge, MaterialModelExt};
 use caphy_core::material::MaterialModel;
 use caphy_core::{Error, Result};
 use caphy_materials::MaterialMeasuredSpec;
-use caphy_materials::measured::{BendEntries, Fabric, StretchEntries};
+use caphy_materials::measured::{BendEntries, Fabric, StretchEntries, average_lame};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -56,8 +56,7 @@ struct Sample {
 fn samples() -> Result<Vec<Sample>> {
     let sample = |fabric: Fabric| -> Result<Sample> {
         let material: Box<dyn MaterialModel> = Box::new(MaterialMeasuredSpec::new(&fabric.name).build_measured()?);
-        let [k0, k1, k2, k3] =
-            material.at([0.0; 3])?.stiffness.ok_or_else(|| Error::unsupported("stiffness", &fabric.name))?;
+        let k = material.at([0.0; 3])?.stiffness.ok_or_else(|| Error::unsupported("stiffness", &fabric.name))?;
         let facts = FabricFacts {
             m: fabric.m,
             name: fabric.name,
@@ -67,8 +66,8 @@ fn samples() -> Result<Vec<Sample>> {
             stretching_n_per_m: fabric.stretching,
             bending_nm: fabric.bending,
             negative_entries: fabric.stretching.iter().flatten().filter(|c| **c < 0.0).count(),
-            rest_stiffness_n_per_m: [k0, k1, k2, k3],
-            rest_lame_n_per_m: [(k0 + 6.0 * k1 + k2 - 2.0 * k3) / 8.0, (k0 + k2 - 2.0 * k1 + 2.0 * k3) / 8.0],
+            rest_stiffness_n_per_m: k,
+            rest_lame_n_per_m: average_lame(k),
         };
         Ok(Sample { facts, material })
     };

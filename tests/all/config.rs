@@ -162,7 +162,7 @@ fn unusable_values_name_their_key() {
     assert_points_at(&edited(TINY, &[("hidden = 32", "hidden = \"32\"")]), "hidden = \"32\"", &["string"]);
     let fabric = "fabric = \"navy-sparkle-sweat\"";
     let multipliers = format!("{fabric}, membrane_multipliers = [1.0, 2.0]");
-    assert_points_at(&edited(TINY, &[(fabric, &multipliers)]), "membrane_multipliers", &["length 2"]);
+    assert_points_at(&edited(TINY, &[(fabric, &multipliers)]), "membrane_multipliers", &["2 values, expected 4"]);
     let no_clips = "clips = [{ type = \"procedural\", kind = \"walk\", seconds = 2 }]";
     assert_says(&edited(TINY, &[(no_clips, "clips = []")]), &["motion.clips"]);
     assert_says(&edited(TINY, &[("[net]\ntype = \"gru\"\nlayers = 2\nhidden = 32\n", "")]), &["missing field `net`"]);

@@ -67,8 +67,8 @@ fn gray(change: impl Fn(&mut MaterialMeasuredSpec)) -> MaterialMeasured {
 fn blocks(c: &mut Criterion) {
     let stvk = MaterialStvk::snug().expect("valid constants");
     let table = gray(|_| ());
-    let direct = gray(|s| s.lookup = StretchLookup::Direct);
-    let full = gray(|s| s.stiffness_gradient = StiffnessGradient::Full);
+    let direct = gray(|s| s.lookup = Some(StretchLookup::Direct));
+    let full = gray(|s| s.stiffness_gradient = Some(StiffnessGradient::Full));
     membrane::<f32>(c, "stvk f32", &stvk, 0.1);
     membrane::<f64>(c, "stvk f64", &stvk, 0.1);
     membrane::<f32>(c, "table f32, strain 0.1", &table, 0.1);

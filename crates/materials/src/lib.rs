@@ -28,6 +28,7 @@
 mod angle;
 mod bounds;
 mod chunk;
+mod exact;
 mod lame;
 pub mod measured;
 pub mod neo_hookean;

@@ -12,5 +12,13 @@ mod closed_form; // StVK by hand, pitfalls of the tables
 mod derivatives; // tangents and parameter derivatives against differences
 #[path = "cases/extremes.rs"]
 mod extremes; // rest, huge strains, collapsed hinges, single against double
+#[path = "cases/independent.rs"]
+mod independent; // the reference note once more, on random strains and folds
+#[path = "cases/neo_hookean.rs"]
+mod neo_hookean; // closed form, small strains, collapse
+#[path = "cases/pitfalls.rs"]
+mod pitfalls; // what the reference note warns of
 #[path = "cases/stretch_reference.rs"]
 mod stretch_reference; // 320 strains of ARCSim
+#[path = "cases/switches.rs"]
+mod switches; // presets, custom tables

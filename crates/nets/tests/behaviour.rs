@@ -3,10 +3,11 @@
 mod support;
 
 use caphy_core::array::{In, Out};
+use caphy_core::net::NetReal;
 use caphy_core::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock, ForwardCall, NetSpec};
 use caphy_core::{Error, Real};
 use caphy_nets::{NetGru, NetGruSpec, NetMlp, NetMlpSpec};
-use support::{Case, NetReal, difference, numbers, small_nets};
+use support::{Case, difference, numbers, small_nets};
 
 /// Two nets whose output layer is cut into panels.
 fn wide_nets() -> Vec<(&'static str, Box<dyn DeformationNet>)> {

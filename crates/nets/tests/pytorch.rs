@@ -3,11 +3,12 @@
 mod support;
 
 use caphy_core::Real;
+use caphy_core::net::NetReal;
 use caphy_core::net::{DeformationNet, NetSpec};
 use caphy_nets::adam::Adam;
 use caphy_nets::{NetGruSpec, NetMlpSpec};
 use serde_json::Value;
-use support::{Case, NetReal, difference};
+use support::{Case, difference};
 
 fn reference() -> Value {
     serde_json::from_str(include_str!("data/pytorch_parity.json")).unwrap()

@@ -183,7 +183,8 @@ fn largest<T: Real>(values: &[T]) -> f64 {
 fn close<T: Real>(what: &str, a: &[T], b: &[T], relative: f64) -> std::result::Result<(), String> {
     let scale = largest(a).max(largest(b));
     ensure(a.len() == b.len(), || format!("{what}: {} and {} values", a.len(), b.len()))?;
-    let wrong = a.iter().zip(b).position(|(a, b)| !(Real::to_f64(*a - *b).abs() <= relative * scale));
+    let near = |(a, b): (&T, &T)| Real::to_f64(*a - *b).abs() <= relative * scale;
+    let wrong = a.iter().zip(b).position(|pair| !near(pair));
     match wrong {
         None => Ok(()),
         Some(i) => Err(format!("{what}: {} and {} at {i}", a[i], b[i])),

@@ -181,6 +181,7 @@ impl<S: Scalar, const N: usize> Sub for Dual<S, N> {
 impl<S: Scalar, const N: usize> Mul for Dual<S, N> {
     type Output = Self;
     #[inline(always)]
+    #[allow(clippy::suspicious_arithmetic_impl, reason = "the product rule adds")]
     fn mul(self, other: Self) -> Self {
         let slope = std::array::from_fn(|k| self.slope[k] * other.value + self.value * other.slope[k]);
         Self { value: self.value * other.value, slope }

@@ -80,7 +80,8 @@ impl Stick {
         };
         let joints = [Vec3::new(0.02, 0.1 * length, 0.0) + moved, Vec3::new(0.0, 0.6 * length, 0.01) + moved];
         let about = |r: &Vec3, centre: Vec3| {
-            let r = if self.is(Fault::NoHalfTurns) && r.norm() > 3.1415 { r * f64::NAN } else { *r };
+            let r =
+                if self.is(Fault::NoHalfTurns) && r.norm() > std::f64::consts::PI - 1e-4 { r * f64::NAN } else { *r };
             let m: Matrix3<f64> = Rotation3::new(r).into_inner();
             (m, centre - m * centre)
         };

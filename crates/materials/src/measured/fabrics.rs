@@ -58,6 +58,14 @@ impl Fabric {
         })
     }
 
+    /// The ten names.
+    ///
+    /// # Errors
+    /// As [`Fabric::all`].
+    pub fn names() -> Result<Vec<String>> {
+        Ok(Self::all()?.into_iter().map(|f| f.name).collect())
+    }
+
     /// The fabric of this name.
     ///
     /// # Errors

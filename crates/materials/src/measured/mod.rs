@@ -6,7 +6,9 @@
 //! 1e-4 N/m).
 
 mod bending;
+mod custom;
 mod fabrics;
+mod isotropic;
 mod membrane;
 mod parameters;
 mod point;
@@ -14,9 +16,13 @@ mod sample_point;
 mod spec;
 mod stretch_table;
 
+pub use custom::FabricTable;
 pub use fabrics::{BEND_COLUMNS, BEND_ROWS, BendEntries, Fabric, STRETCH_COLUMNS, STRETCH_ROWS, StretchEntries};
+pub use isotropic::{average_lame, principal_lame};
 pub use parameters::PARAMETERS;
-pub use spec::{BendingLookup, EdgeLength, Form, MaterialMeasuredSpec, StiffnessGradient, StretchLookup};
+pub use spec::{
+    BendingLookup, EdgeLength, Form, MaterialMeasuredSpec, Preset, StiffnessGradient, StretchLookup, Switches,
+};
 
 use bending::{BendCurves, hinge_by_table};
 use caphy_core::material::{HingeCall, HingeLength, MaterialDescription, MaterialModel, MaterialOutputs, MembraneCall};
@@ -53,10 +59,7 @@ use stretch_table::{StretchTable, membrane_by_table};
 pub struct MaterialMeasured {
     fabric: String,
     density: KilogramPerSquareMetre,
-    form: Form,
-    stiffness_gradient: StiffnessGradient,
-    bending: BendingLookup,
-    edge_length: EdgeLength,
+    switches: Switches,
     entries: Entries,
     /// Names and bounds as built; copies with other values keep the bounds.
     parameters: Arc<Vec<Parameter>>,
@@ -65,22 +68,13 @@ pub struct MaterialMeasured {
 }
 
 impl MaterialMeasured {
-    fn assemble(spec: &MaterialMeasuredSpec, entries: Entries, density: KilogramPerSquareMetre) -> Self {
-        let table = match spec.lookup {
+    fn assemble(name: &str, switches: Switches, entries: Entries, density: KilogramPerSquareMetre) -> Self {
+        let table = match switches.lookup {
             StretchLookup::Table => Some(Arc::new(StretchTable::new(&entries.stretching))),
             StretchLookup::Direct => None,
         };
-        Self {
-            fabric: spec.fabric.clone(),
-            density,
-            form: spec.form,
-            stiffness_gradient: spec.stiffness_gradient,
-            bending: spec.bending,
-            edge_length: spec.edge_length,
-            entries,
-            parameters: Arc::new(entries.parameters()),
-            table,
-        }
+        let parameters = Arc::new(entries.parameters());
+        Self { fabric: name.into(), density, switches, entries, parameters, table }
     }
 
     /// Name of the fabric that it started from.
@@ -96,8 +90,13 @@ impl MaterialMeasured {
         &self.entries.bending
     }
 
+    /// How it is evaluated.
+    pub fn switches(&self) -> Switches {
+        self.switches
+    }
+
     fn rule(&self) -> Rule {
-        Rule { form: self.form, gradient: self.stiffness_gradient }
+        Rule { form: self.switches.form, gradient: self.switches.stiffness_gradient }
     }
 }
 
@@ -106,8 +105,8 @@ impl MaterialModel for MaterialMeasured {
         MaterialDescription {
             name: "measured".into(),
             density: Some(self.density),
-            stiffness_frozen: self.stiffness_gradient == StiffnessGradient::Frozen,
-            hinge_length: match self.edge_length {
+            stiffness_frozen: self.switches.stiffness_gradient == StiffnessGradient::Frozen,
+            hinge_length: match self.switches.edge_length {
                 EdgeLength::Rest => HingeLength::Rest,
                 EdgeLength::Current => HingeLength::CurrentHeld,
             },
@@ -141,11 +140,11 @@ impl MaterialModel for MaterialMeasured {
         match call {
             HingeCall::F32(block) => {
                 block.check(PARAMETERS)?;
-                hinge_by_table(BendCurves::new(self.bending()), self.bending, block);
+                hinge_by_table(BendCurves::new(self.bending()), self.switches.bending, block);
             }
             HingeCall::F64(block) => {
                 block.check(PARAMETERS)?;
-                hinge_by_table(BendCurves::new(self.bending()), self.bending, block);
+                hinge_by_table(BendCurves::new(self.bending()), self.switches.bending, block);
             }
         }
         Ok(())

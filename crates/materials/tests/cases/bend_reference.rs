@@ -62,8 +62,8 @@ fn compare(edge_length: EdgeLength) {
     assert_eq!(reference.cases.len(), 220);
     for fabric in FABRICS {
         let model = measured(fabric, |s| {
-            s.bending = BendingLookup::Faithful;
-            s.edge_length = edge_length;
+            s.bending = Some(BendingLookup::Faithful);
+            s.edge_length = Some(edge_length);
         });
         for case in reference.cases.iter().filter(|c| c.fabric == fabric) {
             let x = case.x.map(|p| Vec3::new(p[0], p[1], p[2]));

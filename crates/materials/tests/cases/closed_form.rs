@@ -96,7 +96,7 @@ fn pitfall_ridges() {
     assert!((repaired[2].stiffness - last).abs() < 1e-18);
     assert_eq!(repaired[2].by_angle, 0.0);
     let faithful =
-        hinges::<f64>(measured("white-dots-on-blk", |s| s.bending = BendingLookup::Faithful).as_ref(), &both);
+        hinges::<f64>(measured("white-dots-on-blk", |s| s.bending = Some(BendingLookup::Faithful)).as_ref(), &both);
     assert!(faithful[0].stiffness != faithful[1].stiffness);
 }
 

@@ -15,9 +15,9 @@ fn variants(fabric: &str) -> Vec<(String, Box<dyn MaterialModel>)> {
             (StretchLookup::Direct, StiffnessGradient::Frozen),
         ] {
             let model = measured(fabric, |s| {
-                s.form = form;
-                s.lookup = lookup;
-                s.stiffness_gradient = gradient;
+                s.form = Some(form);
+                s.lookup = Some(lookup);
+                s.stiffness_gradient = Some(gradient);
             });
             all.push((format!("{fabric} {form:?} {lookup:?} {gradient:?}"), model));
         }
@@ -179,7 +179,7 @@ fn a_negative_entry_has_no_influence_where_the_clamp_is_active() {
 fn bending_slopes_and_parameters() {
     for fabric in FABRICS {
         for bending in [BendingLookup::Repaired, BendingLookup::Faithful] {
-            let model = measured(fabric, |s| s.bending = bending);
+            let model = measured(fabric, |s| s.bending = Some(bending));
             let repaired = bending == BendingLookup::Repaired;
             // Away from columns, from the clamps and from the fold of |θ − θ_rest|: the slope jumps there.
             let smooth = |h: &crate::asking::Hinge| {

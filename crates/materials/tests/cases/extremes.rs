@@ -9,9 +9,9 @@ fn models() -> Vec<Box<dyn MaterialModel>> {
     let mut all: Vec<Box<dyn MaterialModel>> = vec![Box::new(MaterialStvk::snug().unwrap())];
     for fabric in FABRICS {
         all.push(measured(fabric, |_| ()));
-        all.push(measured(fabric, |s| s.lookup = StretchLookup::Direct));
-        all.push(measured(fabric, |s| s.stiffness_gradient = StiffnessGradient::Full));
-        all.push(measured(fabric, |s| s.bending = BendingLookup::Faithful));
+        all.push(measured(fabric, |s| s.lookup = Some(StretchLookup::Direct)));
+        all.push(measured(fabric, |s| s.stiffness_gradient = Some(StiffnessGradient::Full)));
+        all.push(measured(fabric, |s| s.bending = Some(BendingLookup::Faithful)));
     }
     all
 }
