@@ -23,3 +23,8 @@ pub mod show;
 pub mod stage;
 pub mod track;
 pub mod trainer;
+
+/// The worked examples of CONTRIBUTING.md, compiled and run.
+#[cfg(doctest)]
+#[doc = include_str!("../CONTRIBUTING.md")]
+mod contributing {}

@@ -31,11 +31,9 @@ const DOUBLE: [f64; 12] = [
     0.016_285_756_855_221_03,
 ];
 
-/// atan2(y, x) in [0, π/2] for y, x ≥ 0; 0 when both are 0. No branch, no call: it stays inside vector loops.
+/// atan(small / large) in [0, π/4] for 0 ≤ small ≤ large; 0 when both are 0. No branch, no call: it stays inside vector loops.
 #[inline(always)]
-pub(crate) fn quarter_angle<T: Real>(y: T, x: T) -> T {
-    let steep = y > x;
-    let (small, large) = if steep { (x, y) } else { (y, x) };
+pub(crate) fn eighth_angle<T: Real>(small: T, large: T) -> T {
     let folded = small > large * T::of(FOLD);
     let numerator = if folded { small - large } else { small };
     let denominator = if folded { small + large } else { large };
@@ -52,7 +50,15 @@ pub(crate) fn quarter_angle<T: Real>(y: T, x: T) -> T {
         }
     }
     let angle = ratio + ratio * square * sum;
-    let angle = if folded { angle + T::of(std::f64::consts::FRAC_PI_4) } else { angle };
+    if folded { angle + T::of(std::f64::consts::FRAC_PI_4) } else { angle }
+}
+
+/// atan2(y, x) in [0, π/2] for y, x ≥ 0; 0 when both are 0.
+#[inline(always)]
+pub(crate) fn quarter_angle<T: Real>(y: T, x: T) -> T {
+    let steep = y > x;
+    let (small, large) = if steep { (x, y) } else { (y, x) };
+    let angle = eighth_angle(small, large);
     if steep { T::of(std::f64::consts::FRAC_PI_2) - angle } else { angle }
 }
 

@@ -41,6 +41,33 @@ pub(crate) fn piece<'a, T: Real>(row: &'a [T], start: usize, spare: &'a mut Row<
     }
 }
 
+/// The rest of a row, zero behind its end.
+#[inline(always)]
+pub(crate) fn padded<T: Real>(rest: &[T]) -> Row<T> {
+    let mut row = [T::zero(); CHUNK];
+    row[..rest.len()].copy_from_slice(rest);
+    row
+}
+
+/// Shadows each row by its elements `start..start + CHUNK`: in place when there are as many, else a copy that is only made
+/// then (clearing room for it on every call costs more than the copies).
+macro_rules! in_pieces {
+    ($start:expr; $($row:ident),*) => {
+        $(
+            let rest = &$row[$start..];
+            let spare;
+            let $row = match rest.first_chunk::<CHUNK>() {
+                Some(full) => full,
+                None => {
+                    spare = crate::chunk::padded(rest);
+                    &spare
+                }
+            };
+        )*
+    };
+}
+pub(crate) use in_pieces;
+
 /// Writes `value(i)` to the elements `start..start + CHUNK` of a row, as far as it goes.
 #[inline(always)]
 pub(crate) fn write<T: Real>(row: &mut [T], start: usize, value: impl Fn(usize) -> T) {

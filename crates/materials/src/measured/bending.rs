@@ -2,8 +2,8 @@
 
 use super::fabrics::{BEND_COLUMNS, BEND_ROWS, BendEntries};
 use super::spec::BendingLookup;
-use crate::angle::quarter_angle;
-use crate::chunk::{CHUNK, Row, clamp, piece, write};
+use crate::angle::eighth_angle;
+use crate::chunk::{CHUNK, Row, clamp, in_pieces, write};
 use caphy_core::material::HingeBlock;
 use caphy_core::{Real, simd_kernel};
 
@@ -50,14 +50,28 @@ fn inside<T: Real>(s: T, j: usize) -> T {
     if s >= low && s < T::of(j as f64 + 1.0) { T::one() } else { T::zero() }
 }
 
-/// Weights of the rows at 0, 45 and 90° for a fold line along (du, dv); a zero direction counts as along u.
+/// Where a fold line along (du, dv) lies between the rows at 0, 45 and 90°: whether it is beyond 45°, and the middle row's
+/// weight; the rest goes to the row on its side. A zero direction counts as along u.
 #[inline(always)]
-fn row_weights<T: Real>(du: T, dv: T) -> [T; 3] {
-    let b = quarter_angle(dv.abs(), du.abs()) * T::of(4.0 / std::f64::consts::PI);
-    let (one, zero) = (T::one(), T::zero());
-    let first = if b < one { one - b } else { zero };
-    let last = if b > one { b - one } else { zero };
-    [first, one - first - last, last]
+fn between_rows<T: Real>(du: T, dv: T) -> (bool, T) {
+    let (u, v) = (du.abs(), dv.abs());
+    let steep = v > u;
+    let (small, large) = if steep { (u, v) } else { (v, u) };
+    (steep, eighth_angle(small, large) * T::of(4.0 / std::f64::consts::PI))
+}
+
+/// Weights of the three rows.
+#[inline(always)]
+fn row_weights<T: Real>((steep, middle): (bool, T)) -> [T; 3] {
+    let (zero, outer) = (T::zero(), T::one() - middle);
+    if steep { [zero, middle, outer] } else { [outer, middle, zero] }
+}
+
+/// The curves' value there.
+#[inline(always)]
+fn along_rows<T: Real>((steep, middle): (bool, T), curve: [T; 3]) -> T {
+    let outer = if steep { curve[2] } else { curve[0] };
+    outer + middle * (curve[1] - outer)
 }
 
 #[inline(always)]
@@ -92,16 +106,14 @@ simd_kernel! {
         if let Some(out) = block.stiffness_by_parameter.get() {
             out.fill(zero);
         }
+        let derivatives = block.stiffness_by_angle.wanted()
+            || block.stiffness_by_length.wanted()
+            || block.stiffness_by_parameter.wanted();
         let row = [zero; CHUNK];
         let mut l = Lookup { fold: row, ten_area: row, s: row, weights: [row; 3], k: row };
-        let mut spare = [row; 8];
-        let [spare0, spare1, spare2, spare3, spare4, spare5, spare6, spare7] = &mut spare;
         let mut start = 0;
         while start < n {
-            let (angle, rest) = (piece(angle, start, spare0), piece(rest, start, spare1));
-            let (length, area) = (piece(length, start, spare2), piece(area, start, spare3));
-            let (du0, dv0) = (piece(du0, start, spare4), piece(dv0, start, spare5));
-            let (du1, dv1) = (piece(du1, start, spare6), piece(dv1, start, spare7));
+            in_pieces!(start; angle, rest, length, area, du0, dv0, du1, dv1);
             for i in 0..CHUNK {
                 let a = area[i];
                 let ten_area = ten * if a > T::of(SMALLEST_AREA) { a } else { T::of(SMALLEST_AREA) };
@@ -115,18 +127,22 @@ simd_kernel! {
                         curve[r] += curves.rise[r][j] * along;
                     }
                 }
-                let side0 = row_weights(du0[i], dv0[i]);
-                let side1 = row_weights(du1[i], dv1[i]);
-                let (k0, k1) = (mix(side0, curve), mix(side1, curve));
+                let side0 = between_rows(du0[i], dv0[i]);
+                let side1 = between_rows(du1[i], dv1[i]);
+                let (k0, k1) = (along_rows(side0, curve), along_rows(side1, curve));
                 let second = k1 < k0;
                 let k = if second { k1 } else { k0 };
-                for r in 0..BEND_ROWS {
-                    l.weights[r][i] = if second { side1[r] } else { side0[r] };
-                }
                 l.k[i] = if k > zero { k } else { zero };
-                l.s[i] = s;
-                l.fold[i] = fold;
-                l.ten_area[i] = ten_area;
+                // Only derivatives need the rest; the condition is taken out of the loop.
+                if derivatives {
+                    let weights = row_weights(if second { side1 } else { side0 });
+                    for r in 0..BEND_ROWS {
+                        l.weights[r][i] = weights[r];
+                    }
+                    l.s[i] = s;
+                    l.fold[i] = fold;
+                    l.ten_area[i] = ten_area;
+                }
             }
             if let Some(out) = block.stiffness.get() {
                 write(out, start, |i| l.k[i]);

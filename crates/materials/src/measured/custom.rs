@@ -63,7 +63,7 @@ impl FabricTable {
             for column in 0..STRETCH_COLUMNS {
                 let value = self.stretching_n_per_m[row][column];
                 let key = || format!("material.table.stretching_n_per_m[{row}][{column}]");
-                if !(value.abs() <= LARGEST_STIFFNESS) {
+                if value.is_nan() || value.abs() > LARGEST_STIFFNESS {
                     let problem = format!("{} = {value} N/m is not a stiffness", NAMES[column]);
                     return refuse(key(), problem, "give a finite value of at most 1e9 N/m");
                 }
