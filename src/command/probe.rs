@@ -39,7 +39,11 @@ pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> 
     let path = &arguments.material;
     let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
     let table = PluginTable::parse(plugins, Kind::Material, path, &text)?;
-    let material: Arc<dyn MaterialModel> = Arc::from(table.material("material")?);
+    let material: Arc<dyn MaterialModel> = Arc::from(table.material("material").map_err(|error| match error {
+        // A material knows its keys, not the file that they stand in.
+        Error::Config { key, problem, remedy } => Error::format(path, format!("`{key}`"), problem, remedy),
+        other => other,
+    })?);
     let read = |path: &Path| std::fs::read(path).map_err(|e| Error::io(path, "read", e));
     if let Some(file) = &arguments.gradients {
         let answers = probe::gradients(&*material, file, &read(file)?)?;

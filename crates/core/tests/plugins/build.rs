@@ -7,7 +7,7 @@ fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// The library of an example in Rust, in the target folder of these tests, so that dependencies are built once.
+/// The library of an example in Rust, in the target folder of these tests, so that it is built once.
 pub(crate) fn rust(example: &str, crate_name: &str) -> PathBuf {
     let test = std::env::current_exe().expect("the test's own path");
     let profile = test.parent().and_then(Path::parent).expect("target/PROFILE/deps");
