@@ -5,9 +5,17 @@
 
 mod amass;
 mod asf_amc;
+mod axes;
+mod bvh;
+mod mapping;
+mod retarget;
+mod text;
 
 pub use amass::{AmassTranslation, read_amass_npz, read_amass_npz_as};
 pub use asf_amc::read_asf_amc;
+pub use axes::UpAxis;
+pub use bvh::read_bvh;
+pub use mapping::{SkeletonMapping, SkeletonRest};
 
 /// The file's stem: the clip's name.
 fn clip_name(path: &std::path::Path) -> String {
