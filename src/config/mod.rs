@@ -10,7 +10,9 @@ mod silent;
 use crate::files::ProjectFiles;
 use crate::plugins::{Kind, PluginTable, Plugins};
 use caphy_bodymodel::registration::RegistrationSettings;
+use caphy_core::motion::MotionLimits;
 use caphy_core::{Error, Result};
+use caphy_formats::motion::UpAxis;
 use caphy_garment::energy::{ContactOptions, LayeringOptions};
 use caphy_garment::estimate::ForceBalanceSettings;
 use serde::{Deserialize, Serialize};
@@ -180,6 +182,9 @@ pub struct MotionConfig {
     /// Frame rate that clips are resampled to [1/s]. Default 30 (Sec. 3.2).
     #[serde(default = "thirty_fps")]
     pub fps: f64,
+    /// What counts as damage: windows that it touches are not drawn. Infinite limits let everything pass.
+    #[serde(default)]
+    pub limits: MotionLimits,
     /// The clips.
     pub clips: Vec<ClipConfig>,
 }
@@ -202,7 +207,7 @@ pub enum ClipConfig {
         /// Length [s].
         seconds: f64,
     },
-    /// An AMASS-style `.npz` (SMPL-H or SMPL-X).
+    /// An AMASS-style `.npz` (SMPL, SMPL-H or SMPL-X), z up.
     Amass {
         /// The file.
         path: PathBuf,
@@ -211,7 +216,35 @@ pub enum ClipConfig {
         #[serde(default)]
         translation: Translation,
     },
-    /// A CMU skeleton and its motion.
+    /// Body parameters per frame that a video tracker wrote as `.npz`, by the names of AMASS or of the `smplx` package.
+    Tracked {
+        /// The file.
+        path: PathBuf,
+        /// Upward axis of its world: `"y"`, `"-y"` (most cameras), `"z"`, … No default: the file does not say.
+        up: UpAxis,
+        /// What its translation means, as for `amass`.
+        #[serde(default)]
+        translation: Translation,
+        /// Frame rate of the video [1/s]; by default the file's own.
+        #[serde(default)]
+        fps: Option<f64>,
+        /// Standard deviation of the Gaussian that smooths it [s]; 0 for none. Default 0.03, which halves the power of what shakes
+        /// at 4.4 Hz: walking stays, jitter from frame to frame goes.
+        #[serde(default = "tracked_smoothing")]
+        smoothing_s: f64,
+    },
+    /// A BVH file.
+    Bvh {
+        /// The file.
+        path: PathBuf,
+        /// Mapping of its joints (TOML, see `caphy_formats::motion::SkeletonMapping`). Default: the CMU database's BVH names.
+        #[serde(default)]
+        mapping: Option<PathBuf>,
+        /// Metres per length unit of the file. Default: the mapping's.
+        #[serde(default)]
+        metres_per_unit: Option<f64>,
+    },
+    /// A skeleton and its motion, CMU's or mapped.
     AsfAmc {
         /// The `.asf` file.
         skeleton: PathBuf,
@@ -220,7 +253,29 @@ pub enum ClipConfig {
         /// Its frame rate [1/s]; the format does not say. Default 120 (CMU).
         #[serde(default = "cmu_fps")]
         fps: f64,
+        /// Mapping of its bones, as for `bvh`. Default: the CMU database's bones.
+        #[serde(default)]
+        mapping: Option<PathBuf>,
     },
+    /// All `.npz` (AMASS), `.bvh` and `.amc` files of a folder, sorted by name; for training, not for `animate`.
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What `trans` means in its `.npz`, as for `amass`.
+        #[serde(default)]
+        translation: Translation,
+        /// Mapping of its `.bvh`, as for `bvh`.
+        #[serde(default)]
+        mapping: Option<PathBuf>,
+        /// Frame rate of its `.amc` [1/s], whose skeleton is the `.asf` named like the part before the first `_` (`35_01.amc`:
+        /// `35.asf`). Default 120 (CMU).
+        #[serde(default = "cmu_fps")]
+        amc_fps: f64,
+    },
+}
+
+fn tracked_smoothing() -> f64 {
+    0.03
 }
 
 fn cmu_fps() -> f64 {
