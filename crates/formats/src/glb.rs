@@ -5,6 +5,9 @@
 
 mod buffer;
 
+pub use crate::colour::MeshColour as GlbColour;
+
+use crate::colour::linear;
 use buffer::Buffer;
 use caphy_core::mesh::vertex_normals;
 use caphy_core::pose::Pose;
@@ -43,15 +46,6 @@ pub struct GlbMesh<'a> {
     pub colour: GlbColour<'a>,
     /// Motion.
     pub motion: GlbMotion<'a>,
-}
-
-/// Colour of a mesh, sRGB.
-#[derive(Debug, Clone, Copy)]
-pub enum GlbColour<'a> {
-    /// One colour.
-    Uniform([u8; 3]),
-    /// A colour per vertex, shape [vertex_count].
-    PerVertex(&'a [[u8; 3]]),
 }
 
 /// Motion of a mesh.
@@ -341,10 +335,4 @@ fn unit_normals(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<Vec3> {
         }
     }
     normals
-}
-
-/// Linear intensity of an sRGB channel (IEC 61966-2-1).
-fn linear(channel: u8) -> f64 {
-    let c = f64::from(channel) / 255.0;
-    if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
 }

@@ -1,6 +1,6 @@
 //! The binary part of a GLB: arrays, each with its buffer view and accessor.
 
-use super::linear;
+use crate::colour::linear;
 use caphy_core::{Error, Result, Vec3};
 use nalgebra::UnitQuaternion;
 use serde_json::{Value, json};
