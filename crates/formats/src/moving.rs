@@ -120,17 +120,28 @@ impl MovingMesh<'_> {
     /// # Errors
     /// [`Error::Length`] or [`Error::NonFinite`] naming mesh, frame and vertex; whatever the source of the frames says.
     pub fn frame(&self, frame: usize, out: &mut Vec<Vec3>) -> Result<()> {
-        out.clear();
-        self.frames.frame(frame, out)?;
-        let what = || format!("mesh `{}`, frame {frame}", self.name);
-        Error::check_length(&what(), self.vertex_count, out.len())?;
-        match out.iter().position(|p| p.iter().any(|c| !(*c as f32).is_finite())) {
-            None => Ok(()),
-            // Beyond the range of f32 a position would become infinite in the file.
-            Some(v) => {
-                let bad = out[v].iter().position(|c| !(*c as f32).is_finite()).unwrap_or(0);
-                Err(Error::NonFinite { what: format!("{}, vertex {v}", what()), index: bad, value: out[v][bad] })
-            }
+        checked_frame(&self.name, self.vertex_count, self.frames, frame, out)
+    }
+}
+
+/// As [`MovingMesh::frame`].
+pub(crate) fn checked_frame(
+    name: &str,
+    vertex_count: usize,
+    frames: &dyn VertexFrames,
+    frame: usize,
+    out: &mut Vec<Vec3>,
+) -> Result<()> {
+    out.clear();
+    frames.frame(frame, out)?;
+    let what = || format!("mesh `{name}`, frame {frame}");
+    Error::check_length(&what(), vertex_count, out.len())?;
+    // Beyond the range of f32 a position would become infinite in the file.
+    let lost = |c: &f64| !(*c as f32).is_finite();
+    match out.iter().enumerate().find_map(|(v, p)| Some((v, p.iter().position(lost)?))) {
+        None => Ok(()),
+        Some((v, axis)) => {
+            Err(Error::NonFinite { what: format!("{}, vertex {v}", what()), index: axis, value: out[v][axis] })
         }
     }
 }
