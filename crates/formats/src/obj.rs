@@ -3,11 +3,14 @@
 //! obj-rs's raw parser does the reading. It fails on vertex colours (`v x y z r g b`) and panics on free-form surfaces, so
 //! those lines are taken out first; a counting reader gives back the line number that its errors lack.
 
+mod write;
+
+pub use write::{ObjSequence, write_obj};
+
 use crate::ply::fan;
 use ::obj::raw::object::Polygon;
 use caphy_core::scan::Scan;
 use caphy_core::{Error, Result, TriMesh, Vec3};
-use std::fmt::Write;
 use std::io::{BufRead, Read};
 use std::path::Path;
 
@@ -101,34 +104,6 @@ pub fn read_obj(path: &Path, bytes: &[u8]) -> Result<ObjMesh> {
         scan: Scan { name, mesh: TriMesh { vertices, faces }, colours, labels: None },
         uvs: every_face_has_uv.then(|| ObjUvs { coords: coords(), faces: uv_faces }),
     })
-}
-
-/// Writes a mesh [m], with vertex colours (sRGB) when given, shape [vertex_count].
-///
-/// A sequence is one such file per frame; all share the faces.
-///
-/// # Errors
-/// [`Error::Length`] when the colours do not cover the vertices.
-pub fn write_obj(mesh: &TriMesh, colours: Option<&[[u8; 3]]>) -> Result<Vec<u8>> {
-    if let Some(colours) = colours {
-        Error::check_length("OBJ vertex colours", mesh.vertices.len(), colours.len())?;
-    }
-    let mut out = String::with_capacity(40 * mesh.vertices.len() + 24 * mesh.faces.len());
-    out += "# metres, y up\n";
-    for (i, v) in mesh.vertices.iter().enumerate() {
-        // A hundredth of a micrometre: finer than f32 at body scale. Writing to a String cannot fail.
-        let _ = write!(out, "v {:.8} {:.8} {:.8}", v.x, v.y, v.z);
-        if let Some(colours) = colours {
-            for c in colours[i] {
-                let _ = write!(out, " {:.4}", f64::from(c) / 255.0);
-            }
-        }
-        out.push('\n');
-    }
-    for f in &mesh.faces {
-        let _ = writeln!(out, "f {} {} {}", u64::from(f[0]) + 1, u64::from(f[1]) + 1, u64::from(f[2]) + 1);
-    }
-    Ok(out.into_bytes())
 }
 
 /// The lines that obj-rs shall see, each on its own line number, and the colours taken off the vertices.
