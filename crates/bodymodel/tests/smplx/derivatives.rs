@@ -268,7 +268,7 @@ fn bad_models_are_refused_with_the_place() {
     assert!(refuse(&|a| a.faces[3] = [0, 1, 5000]).contains("face 3"));
     assert!(refuse(&|a| a.weights.weights[0] += 0.5).contains("vertex 0"));
     assert!(refuse(&|a| a.weights.joints[0] = 77).contains("vertex 0"));
-    assert!(refuse(&|a| a.joints[2].parent = Some(4)).contains("joint2"));
+    assert!(refuse(&|a| a.joints[2].parent = Some(4)).contains("joint 2"));
     assert!(refuse(&|a| a.joint_regressor[1][0].0 = 9999).contains("joint1"));
     assert!(refuse(&|a| a.pose_directions.truncate(9)).contains("pose directions"));
     assert!(refuse(&|a| a.shape_directions[2].truncate(9)).contains("shape direction 2"));
