@@ -4,6 +4,10 @@
 //! returns bytes. Damaged input gives a [`caphy_core::Error::Format`] that names the file, the element and the remedy:
 //! never a panic, and never an allocation on the word of a header alone.
 
+mod colour;
+mod number;
+mod polygon;
+
 pub mod glb;
 pub mod motion;
 pub mod npz;

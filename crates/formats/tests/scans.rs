@@ -157,14 +157,14 @@ fn obj_written_is_read_back() {
 #[test]
 fn bad_obj_is_refused_with_place_and_value() {
     for (from, to, words) in [
-        ("f -4/5", "f 9/5", ["scan.obj", "line 19", "ndex"]),
-        ("f -4/5", "f 0/5", ["scan.obj", "line 19", "zero"]),
-        ("f -4/5 -3/2 -2/3", "f -4/5 -3/2", ["scan.obj", "line 19", "arguments"]),
-        ("v 1 1 0 1 0 0.5", "v 1 1", ["scan.obj", "line 6", "arguments"]),
-        ("v 1 1 0 1 0 0.5", "v 1 1 0 red 0 0", ["scan.obj", "line 6", "red"]),
-        ("v 1 1 0 1 0 0.5", "v 1 nan 0", ["scan.obj", "vertex 3", "NaN"]),
-        ("v 1 1 0 1 0 0.5", "v 1 1e40 0", ["scan.obj", "vertex 3", "inf"]),
-        ("s 1", "cstype bspline", ["scan.obj", "line 16", "free-form"]),
+        ("f -4/5", "f 9/5", ["scan.obj", "line 19", "`9/5`", "index 9"]),
+        ("f -4/5", "f 0/5", ["scan.obj", "line 19", "`0/5`", "zero"]),
+        ("f -4/5 -3/2 -2/3", "f -4/5 -3/2", ["scan.obj", "line 19", "2 corners", "at least 3"]),
+        ("v 1 1 0 1 0 0.5", "v 1 1", ["scan.obj", "line 6", "2 numbers", "x y z"]),
+        ("v 1 1 0 1 0 0.5", "v 1 1 0 red 0 0", ["scan.obj", "line 6", "`red`", "no number"]),
+        ("v 1 1 0 1 0 0.5", "v 1 nan 0", ["scan.obj", "line 6", "vertex 3", "NaN"]),
+        ("v 1 1 0 1 0 0.5", "v 1 1e400 0", ["scan.obj", "line 6", "vertex 3", "inf"]),
+        ("s 1", "cstype bspline", ["scan.obj", "line 16", "free-form", "cstype"]),
     ] {
         assert!(CUBE_SIDE.contains(from));
         let text = obj(&CUBE_SIDE.replacen(from, to, 1)).unwrap_err().to_string();
