@@ -96,6 +96,15 @@ def asf_amc():
     put("asf_amc", "walk", asf.encode() + b"\0" + f"#!OML\n:DEGREES\n1\n{frame}2\n{frame}".encode())
 
 
+def bvh():
+    head = "HIERARCHY\nROOT a\n{\n OFFSET 0 0 0\n CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation " \
+        "Xrotation\n JOINT b\n {\n  OFFSET 3.5 0 -1e1\n  CHANNELS 3 Zrotation Yrotation Xrotation\n  JOINT c\n  {\n" \
+        "   OFFSET 0 0 -40\n   CHANNELS 1 Xrotation\n   End Site\n   {\n    OFFSET 0 1 -40\n   }\n  }\n }\n}\n"
+    rows = "1 2 90 0 10 0 5 -6.5 7 8\n1 2 91 0 11 0 5 6 7 9\n"
+    put("bvh", "two", head + "MOTION\nFrames: 2\nFrame Time: 0.0083333\n" + rows)
+    put("bvh", "one", (head + "MOTION\nFrames:1\nFrame Time:1e-2\n" + rows[:25]).replace("\n", "\r\n"))
+
+
 def safetensors():
     header = json.dumps({
         "__metadata__": {"type": "gru", "layers": "4"},
@@ -106,5 +115,5 @@ def safetensors():
     put("safetensors", "empty", struct.pack("<Q", 2) + b"{}")
 
 
-for write in (obj, ply, npz, amass, asf_amc, safetensors):
+for write in (obj, ply, npz, amass, asf_amc, bvh, safetensors):
     write()

@@ -19,7 +19,7 @@ fuzz_target!(|data: &[u8]| {
         caphy_fuzz::stored_zip(&entries)
     };
     let clip = read_amass_npz_as(Path::new("clip.npz"), bytes, &Vec3::new(0.01, -0.35, 0.02), meaning);
-    let Some(clip) = caphy_fuzz::accepted("clip", clip) else { return };
+    let Some(clip) = caphy_fuzz::accepted("clip.npz", clip) else { return };
     assert!(clip.fps > 0.0 && !clip.poses.is_empty());
     for pose in &clip.poses {
         assert_eq!(pose.rotations.len(), 55);

@@ -5,7 +5,7 @@ mod support;
 
 use caphy_core::scan::{Label, Scan};
 use caphy_core::{Result, TriMesh, Vec3};
-use caphy_formats::motion::{read_amass_npz, read_asf_amc};
+use caphy_formats::motion::{SkeletonMapping, read_amass_npz, read_asf_amc, read_bvh};
 use caphy_formats::npz::Npz;
 use caphy_formats::obj::{read_obj, write_obj};
 use caphy_formats::ply::{read_ply, write_ply};
@@ -207,14 +207,55 @@ fn asf_and_amc() {
     asf += &format!(":hierarchy\nbegin\nroot {bones}\nend\n");
     let frame = "root 1 2 3 4 5 6\nlfemur 10 20\nltibia 1.5 2.5\n";
     let amc = format!("#!OML:ASF\n:FULLY-SPECIFIED\n:DEGREES\n1\n{frame}2\n{frame}");
+    let mapping = SkeletonMapping::cmu_asf().unwrap();
     let read = |asf: &[u8], amc: &[u8]| {
-        read_asf_amc(Path::new("clip.asf"), asf, Path::new("clip.amc"), amc, 120.0, &Vec3::zeros())
+        read_asf_amc(Path::new("clip.asf"), asf, Path::new("clip.amc"), amc, 120.0, &mapping, &Vec3::zeros())
     };
     // Damage to one may show in the other: the names differ in the ending alone.
     let skeleton = |bytes: &[u8]| read(bytes, amc.as_bytes());
     Damage { file: "clip.a", whole: asf.as_bytes(), read: &skeleton }.all();
     let frames = |bytes: &[u8]| read(asf.as_bytes(), bytes);
     Damage { file: "clip.amc", whole: amc.as_bytes(), read: &frames }.all();
+}
+
+#[test]
+fn bvh() {
+    let mapping = SkeletonMapping::from_toml(
+        Path::new("two.toml"),
+        b"metres_per_unit = 0.01\n[joints]\nHips = \"pelvis\"\nLeftUpLeg = \"left_hip\"\n",
+    );
+    let mapping = mapping.unwrap();
+    let text = "HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 0\n CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation \
+        Xrotation\n JOINT LeftUpLeg\n {\n  OFFSET 3.5 -1e1 0\n  CHANNELS 3 Zrotation Yrotation Xrotation\n  End Site\n  {\n   \
+        OFFSET 0 -40 0\n  }\n }\n}\nMOTION\nFrames: 2\nFrame Time: 0.0083333\n1 90 2 0 10 0 5 -6.5 7\n\
+        1 90 3 0 11 0 5 6 7\n";
+    let read = |bytes: &[u8]| read_bvh(Path::new("clip.bvh"), bytes, &mapping, &Vec3::zeros());
+    let cuts = Damage { file: "clip.bvh", whole: text.as_bytes(), read: &read }.all();
+    // Without its last digit and line feed, or the line feed alone, the last number is none or the same.
+    assert_eq!(cuts.read, 1);
+    for (from, to) in [("-1e1", "1e308"), ("1 90 2", "1e308 1e308 1e308"), ("0.0083333", "5e-324")] {
+        assert!(text.contains(from));
+        if let Err(e) = read(text.replacen(from, to, 1).as_bytes()) {
+            assert!(e.to_string().contains("clip.bvh"), "{e}");
+        }
+    }
+}
+
+#[test]
+fn numbers_that_overflow_are_errors_of_the_file() {
+    let huge = 1e308f64;
+    let mut poses = vec![0.0; 156];
+    poses[..3].fill(huge);
+    let bytes = |x: &[f64]| x.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let entries = [
+        ("poses", support::npy("<f8", false, "(1, 156)", &bytes(&poses))),
+        ("trans", support::npy("<f8", false, "(1, 3)", &bytes(&[huge; 3]))),
+        ("mocap_framerate", support::npy("<f8", false, "()", &120f64.to_le_bytes())),
+    ];
+    let pelvis = Vec3::new(-huge, -huge, -huge);
+    let text =
+        read_amass_npz(Path::new("clip.npz"), support::archive(&entries, false), &pelvis).unwrap_err().to_string();
+    assert!(text.contains("clip.npz") && text.contains("frame 0"), "{text}");
 }
 
 #[test]
