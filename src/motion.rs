@@ -6,7 +6,7 @@ use caphy_bodymodel::procedural_motion::procedural_clip;
 use caphy_core::files::Files;
 use caphy_core::motion::MotionClip;
 use caphy_core::{Result, Vec3};
-use caphy_formats::motion::{AmassTranslation, read_amass_npz_as, read_asf_amc};
+use caphy_formats::motion::{AmassTranslation, SkeletonMapping, read_amass_npz_as, read_asf_amc};
 
 /// Reads or generates a clip and resamples it. `pelvis` is the body's rest pelvis [m]: recorded translations are the
 /// pelvis's own.
@@ -26,6 +26,7 @@ pub fn load(files: &ProjectFiles, clip: &ClipConfig, fps: f64, pelvis: &Vec3) ->
             &files.resolve(path)?,
             &files.read(path)?,
             *fps,
+            &SkeletonMapping::cmu_asf()?,
             pelvis,
         )?,
     };

@@ -5,6 +5,9 @@
 //! [`caphy_core::Error::Format`] that names the file, the element and the remedy: never a panic, and never an allocation
 //! on the word of a header alone.
 
+mod number;
+mod polygon;
+
 pub mod colour;
 pub mod glb;
 pub mod motion;

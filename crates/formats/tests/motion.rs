@@ -5,7 +5,7 @@ mod support;
 use caphy_core::motion::MotionClip;
 use caphy_core::pose::{Pose, SMPLX_PARENTS, smplx_joint};
 use caphy_core::{Result, Vec3};
-use caphy_formats::motion::{AmassTranslation, read_amass_npz, read_amass_npz_as, read_asf_amc};
+use caphy_formats::motion::{AmassTranslation, SkeletonMapping, read_amass_npz, read_amass_npz_as, read_asf_amc};
 use nalgebra::UnitQuaternion;
 use npyz::WriterBuilder;
 use npyz::npz::NpzWriter;
@@ -38,7 +38,9 @@ fn asf_amc_and_npz_of_a_clip_agree() {
         else {
             return;
         };
-        let direct = read_asf_amc(Path::new("s.asf"), &asf, Path::new("s/clip.amc"), &amc, 120.0, &PELVIS).unwrap();
+        let (asf_path, amc_path, cmu) =
+            (Path::new("s.asf"), Path::new("s/clip.amc"), SkeletonMapping::cmu_asf().unwrap());
+        let direct = read_asf_amc(asf_path, &asf, amc_path, &amc, 120.0, &cmu, &PELVIS).unwrap();
         let stored = read_amass_npz(Path::new("clip.npz"), npz, &PELVIS).unwrap();
         assert_eq!((direct.poses.len(), direct.fps, direct.name.as_str()), (frames, stored.fps, "clip"));
         let (angle, distance) = difference(&direct, &stored);
@@ -163,7 +165,12 @@ fn frames() -> String {
 }
 
 fn clip(asf: &[u8], amc: &[u8]) -> Result<MotionClip> {
-    read_asf_amc(Path::new("a.asf"), asf, Path::new("a.amc"), amc, 120.0, &PELVIS)
+    clip_at(asf, amc, 120.0)
+}
+
+fn clip_at(asf: &[u8], amc: &[u8], fps: f64) -> Result<MotionClip> {
+    let cmu = SkeletonMapping::cmu_asf().unwrap();
+    read_asf_amc(Path::new("a.asf"), asf, Path::new("a.amc"), amc, fps, &cmu, &PELVIS)
 }
 
 #[test]
@@ -192,8 +199,7 @@ fn bad_skeletons_and_frames_are_refused_with_place_and_value() {
         let text = clip(asf.as_bytes(), amc.replacen(from, to, 1).as_bytes()).unwrap_err().to_string();
         assert!(words.iter().all(|w| text.contains(w)), "{to}: {text}");
     }
-    let rate = read_asf_amc(Path::new("a.asf"), asf.as_bytes(), Path::new("a.amc"), amc.as_bytes(), 0.0, &PELVIS);
-    assert!(rate.is_err());
+    assert!(clip_at(asf.as_bytes(), amc.as_bytes(), 0.0).is_err());
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Motion in AMASS's `.npz` layout: SMPL-H (156 numbers per frame) and SMPL-X (165), z up.
 
-use super::clip_name;
+use super::named_clip;
 use crate::npz::Npz;
 use caphy_core::motion::MotionClip;
 use caphy_core::pose::{Pose, SMPLX_JOINTS};
@@ -94,5 +94,5 @@ pub fn read_amass_npz_as(path: &Path, bytes: Vec<u8>, pelvis: &Vec3, meaning: Am
             pose
         })
         .collect();
-    MotionClip::new(clip_name(path), fps, clip)
+    named_clip(path, fps, clip)
 }

@@ -1,47 +1,16 @@
-//! Acclaim skeletons and motion (`.asf`, `.amc`) with the bone names of the CMU database, y up.
-//!
-//! A retarget of directions, not a fit of a body to markers: each joint turns as its bone does in the world, corrected
-//! by the smallest rotation from the T-pose's limb to the skeleton's rest direction. Limb directions of the result are
-//! the measured ones. What it cannot know: bones of other proportions, shoulder centres that are placed differently.
+//! Acclaim skeletons and motion (`.asf`, `.amc`).
 
-use super::clip_name;
+use super::mapping::SkeletonMapping;
+use super::named_clip;
+use super::retarget::{Retarget, SourceJoint, turn};
+use super::text::{Lines, MOST_FRAMES, MOST_JOINTS};
 use caphy_core::motion::MotionClip;
-use caphy_core::pose::{Pose, SMPLX_JOINTS, SMPLX_PARENTS, smplx_joint};
 use caphy_core::{Error, Result, Vec3};
-use nalgebra::{Unit, UnitQuaternion};
+use nalgebra::UnitQuaternion;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Metres per inch: ASF lengths are inches divided by the skeleton's `length` unit.
-const METRES_PER_INCH: f64 = 0.0254;
-
-/// The bone that each SMPL-X joint follows, and the T-pose direction of its limb where bone and limb rest differently.
-/// Joints that are not listed (face, fingers) rest.
-const BONES: [(&str, &str, Option<[f64; 3]>); 21] = [
-    ("left_hip", "lfemur", Some([0.0, -1.0, 0.0])),
-    ("right_hip", "rfemur", Some([0.0, -1.0, 0.0])),
-    ("spine1", "lowerback", None),
-    ("left_knee", "ltibia", Some([0.0, -1.0, 0.0])),
-    ("right_knee", "rtibia", Some([0.0, -1.0, 0.0])),
-    ("spine2", "upperback", None),
-    ("left_ankle", "lfoot", None),
-    ("right_ankle", "rfoot", None),
-    ("spine3", "thorax", None),
-    ("left_foot", "ltoes", None),
-    ("right_foot", "rtoes", None),
-    ("neck", "upperneck", None),
-    ("left_collar", "lclavicle", None),
-    ("right_collar", "rclavicle", None),
-    ("head", "head", None),
-    ("left_shoulder", "lhumerus", Some([1.0, 0.0, 0.0])),
-    ("right_shoulder", "rhumerus", Some([-1.0, 0.0, 0.0])),
-    ("left_elbow", "lradius", Some([1.0, 0.0, 0.0])),
-    ("right_elbow", "rradius", Some([-1.0, 0.0, 0.0])),
-    ("left_wrist", "lhand", Some([1.0, 0.0, 0.0])),
-    ("right_wrist", "rhand", Some([-1.0, 0.0, 0.0])),
-];
-
-/// Reads a clip and retargets it to the SMPL-X joints.
+/// Reads a clip and retargets it to the SMPL-X joints by a mapping ([`SkeletonMapping::cmu_asf`] for the CMU database).
 ///
 /// `fps` [1/s] is the clip's rate, which the files do not hold (CMU: 120). `pelvis` [m] is the rest pelvis of the body
 /// that will be moved: its pelvis then goes where the skeleton's root goes.
@@ -55,56 +24,36 @@ pub fn read_asf_amc(
     amc_path: &Path,
     amc: &[u8],
     fps: f64,
+    mapping: &SkeletonMapping,
     pelvis: &Vec3,
 ) -> Result<MotionClip> {
     let skeleton = Skeleton::parse(asf_path, asf)?;
-    let mut followed = Vec::with_capacity(BONES.len());
-    for (joint, name, limb) in BONES {
-        let (Some(joint), Some(bone)) = (smplx_joint(joint), skeleton.index.get(name).copied()) else {
-            let mut known: Vec<_> = skeleton.index.keys().map(String::as_str).collect();
-            known.sort_unstable();
-            return Err(Error::format(
-                asf_path,
-                ":bonedata",
-                format!("no bone `{name}`"),
-                format!("the bone names of the CMU database are needed; bones of this file: {}", known.join(", ")),
-            ));
-        };
-        let correction = match limb {
-            None => UnitQuaternion::identity(),
-            Some(limb) => UnitQuaternion::rotation_between(&Vec3::from(limb), &skeleton.bones[bone].direction)
-                // Opposite directions: half a turn about the viewing axis keeps front in front.
-                .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vec3::z_axis(), std::f64::consts::PI)),
-        };
-        followed.push((joint, bone, correction));
+    let metres = mapping.metres_per_unit / skeleton.length;
+    let retarget = Retarget::new(asf_path, &skeleton.source(), mapping, metres)?;
+    if retarget.pelvis() != ROOT {
+        return Err(Error::format(
+            mapping.path(),
+            "`joints`",
+            "the pelvis is not the skeleton's root, whose position is the only one in an .amc",
+            "map `root` to `pelvis`",
+        ));
     }
-    let poses = read_frames(amc_path, amc, &skeleton)?
-        .iter()
-        .map(|frame| {
-            let mut bones = vec![UnitQuaternion::identity(); skeleton.bones.len()];
-            for (b, bone) in skeleton.bones.iter().enumerate() {
-                // Parents stand before children: `parse` orders them by the hierarchy.
-                let parent = bone.parent.map_or(frame.root, |p| bones[p]);
-                bones[b] = parent * bone.axis * frame.bones[b] * bone.axis.inverse();
-            }
-            // None: the joint keeps its parent's rotation.
-            let mut world = vec![None; SMPLX_JOINTS.len()];
-            world[0] = Some(frame.root);
-            for &(joint, bone, correction) in &followed {
-                world[joint] = Some(bones[bone] * correction);
-            }
-            let mut rotations = vec![Vec3::zeros(); SMPLX_JOINTS.len()];
-            rotations[0] = frame.root.scaled_axis();
-            for joint in 1..SMPLX_JOINTS.len() {
-                let parent = world[SMPLX_PARENTS[joint]].unwrap_or_else(UnitQuaternion::identity);
-                let own = *world[joint].get_or_insert(parent);
-                rotations[joint] = (parent.inverse() * own).scaled_axis();
-            }
-            Pose { rotations, translation: frame.position * skeleton.metres - pelvis }
-        })
-        .collect();
-    MotionClip::new(clip_name(amc_path), fps, poses)
+    let mut poses = Vec::new();
+    let mut world = vec![UnitQuaternion::identity(); skeleton.bones.len() + 1];
+    read_frames(amc_path, amc, &skeleton, |frame| {
+        world[ROOT] = frame.root;
+        for (b, bone) in skeleton.bones.iter().enumerate() {
+            // Parents stand before children: `parse` orders them by the hierarchy.
+            let parent = world[bone.parent.map_or(ROOT, |p| p + 1)];
+            world[b + 1] = parent * bone.axis * frame.bones[b] * bone.axis.inverse();
+        }
+        poses.push(retarget.pose(&world, &frame.position, pelvis));
+    })?;
+    named_clip(amc_path, fps, poses)
 }
+
+/// Place of the root among the joints; bones follow it.
+const ROOT: usize = 0;
 
 /// One degree of freedom: which number it is, or a length that does not turn anything.
 #[derive(Clone, Copy)]
@@ -115,6 +64,7 @@ enum Channel {
 }
 
 struct Bone {
+    name: String,
     parent: Option<usize>,
     /// Rest direction in the world, unit length.
     direction: Vec3,
@@ -131,7 +81,8 @@ struct Skeleton {
     root_position: Vec3,
     root_axis: UnitQuaternion<f64>,
     radians: f64,
-    metres: f64,
+    /// Number that divides its lengths.
+    length: f64,
 }
 
 /// A bone as it stands in the file, before its parent is known.
@@ -147,11 +98,7 @@ struct Entry {
 
 /// A turn about each axis in the order given ("XYZ": x first), angles in that order [rad].
 fn turns(angles: impl IntoIterator<Item = (usize, f64)>) -> UnitQuaternion<f64> {
-    angles.into_iter().fold(UnitQuaternion::identity(), |q, (axis, angle)| {
-        let mut direction = Vec3::zeros();
-        direction[axis] = 1.0;
-        UnitQuaternion::from_axis_angle(&Unit::new_unchecked(direction), angle) * q
-    })
+    angles.into_iter().fold(UnitQuaternion::identity(), |q, (axis, angle)| turn(axis, angle) * q)
 }
 
 fn channel(word: &str) -> Option<Channel> {
@@ -166,42 +113,9 @@ fn channel(word: &str) -> Option<Channel> {
     }
 }
 
-/// Lines of text with their numbers, words split, comments left out.
-struct Lines<'a> {
-    path: &'a Path,
-    text: std::borrow::Cow<'a, str>,
-}
-
-impl<'a> Lines<'a> {
-    fn new(path: &'a Path, bytes: &'a [u8]) -> Self {
-        Self { path, text: String::from_utf8_lossy(bytes) }
-    }
-    fn iter(&self) -> impl Iterator<Item = (usize, Vec<&str>)> {
-        self.text.lines().enumerate().filter_map(|(i, line)| {
-            let words: Vec<&str> = line.split('#').next().unwrap_or_default().split_whitespace().collect();
-            (!words.is_empty()).then_some((i + 1, words))
-        })
-    }
-    fn bad(&self, line: usize, problem: impl Into<String>) -> Error {
-        Error::format(self.path, format!("line {line}"), problem, "the file is damaged or cut off: get it again")
-    }
-    fn number(&self, line: usize, word: &str) -> Result<f64> {
-        match word.parse::<f64>() {
-            Ok(x) if x.is_finite() => Ok(x),
-            _ => Err(self.bad(line, format!("`{word:.40}` is no finite number"))),
-        }
-    }
-    fn three(&self, line: usize, words: &[&str]) -> Result<Vec3> {
-        let &[_, x, y, z, ..] = words else {
-            return Err(self.bad(line, format!("`{}` needs three numbers", words.join(" "))));
-        };
-        Ok(Vec3::new(self.number(line, x)?, self.number(line, y)?, self.number(line, z)?))
-    }
-}
-
 impl Skeleton {
     fn parse(path: &Path, bytes: &[u8]) -> Result<Self> {
-        let lines = Lines::new(path, bytes);
+        let lines = Lines::new(path, bytes, Some('#'));
         let mut section = String::new();
         let mut radians = None;
         let mut length = None;
@@ -234,7 +148,12 @@ impl Skeleton {
                 (":root", "position") => root_position = lines.three(line, &words)?,
                 (":root", "orientation") => root_angles = lines.three(line, &words)?,
                 (":bonedata", "begin") => open = Some(Entry { line, ..Entry::default() }),
-                (":bonedata", "end") => entries.extend(open.take()),
+                (":bonedata", "end") => {
+                    entries.extend(open.take());
+                    if entries.len() > MOST_JOINTS {
+                        return Err(lines.bad(line, format!("more than {MOST_JOINTS} bones")));
+                    }
+                }
                 (":bonedata", key) => {
                     let Some(bone) = &mut open else {
                         return Err(lines.bad(line, format!("`{key:.40}` outside begin and end")));
@@ -280,7 +199,7 @@ impl Skeleton {
             root_position,
             root_axis: frame(0, &root_order, root_angles)?,
             radians,
-            metres: METRES_PER_INCH / length,
+            length,
         };
         let by_name: HashMap<&str, &Entry> = entries.iter().map(|e| (e.name.as_str(), e)).collect();
         for (line, parent, child) in &links {
@@ -300,9 +219,16 @@ impl Skeleton {
             let direction =
                 entry.direction.ok_or_else(|| lines.bad(entry.line, format!("bone `{child:.40}` has no direction")))?;
             let axis = frame(entry.line, if entry.order.is_empty() { "XYZ" } else { &entry.order }, entry.axis)?;
-            skeleton.bones.push(Bone { parent, direction, axis, channels: entry.channels.clone() });
+            let (name, channels) = (child.clone(), entry.channels.clone());
+            skeleton.bones.push(Bone { name, parent, direction, axis, channels });
         }
         Ok(skeleton)
+    }
+    /// The root and the bones, in the order of world rotations.
+    fn source(&self) -> Vec<SourceJoint> {
+        let root = SourceJoint { name: "root".into(), direction: None };
+        let bones = self.bones.iter().map(|b| SourceJoint { name: b.name.clone(), direction: Some(b.direction) });
+        [root].into_iter().chain(bones).collect()
     }
 }
 
@@ -315,10 +241,17 @@ struct Frame {
     bones: Vec<UnitQuaternion<f64>>,
 }
 
-fn read_frames(path: &Path, bytes: &[u8], skeleton: &Skeleton) -> Result<Vec<Frame>> {
-    let lines = Lines::new(path, bytes);
+/// Hands each complete frame to `take`.
+fn read_frames(path: &Path, bytes: &[u8], skeleton: &Skeleton, mut take: impl FnMut(&Frame)) -> Result<()> {
+    let lines = Lines::new(path, bytes, Some('#'));
     let mut radians = skeleton.radians;
-    let mut frames: Vec<Frame> = Vec::new();
+    let rest = || Frame {
+        position: Vec3::zeros(),
+        root: UnitQuaternion::identity(),
+        bones: vec![UnitQuaternion::identity(); skeleton.bones.len()],
+    };
+    let mut open: Option<Frame> = None;
+    let mut count = 0;
     // Which bones the first frame gives; every other must give the same, else it is cut off.
     let mut given_first: Option<usize> = None;
     let mut given = vec![false; skeleton.bones.len() + 1];
@@ -346,18 +279,19 @@ fn read_frames(path: &Path, bytes: &[u8], skeleton: &Skeleton) -> Result<Vec<Fra
         if let [number] = words.as_slice()
             && number.bytes().all(|b| b.is_ascii_digit())
         {
-            if !frames.is_empty() {
+            if let Some(frame) = &open {
                 complete(&given, &mut given_first, line)?;
+                take(frame);
+            }
+            count += 1;
+            if count > MOST_FRAMES {
+                return Err(lines.bad(line, format!("more than {MOST_FRAMES} frames")));
             }
             given.fill(false);
-            frames.push(Frame {
-                position: Vec3::zeros(),
-                root: UnitQuaternion::identity(),
-                bones: vec![UnitQuaternion::identity(); skeleton.bones.len()],
-            });
+            open = Some(rest());
             continue;
         }
-        let Some(frame) = frames.last_mut() else {
+        let Some(frame) = &mut open else {
             return Err(lines.bad(line, format!("`{:.40}` before the first frame number", words[0])));
         };
         let bone = match words[0] {
@@ -397,9 +331,10 @@ fn read_frames(path: &Path, bytes: &[u8], skeleton: &Skeleton) -> Result<Vec<Fra
             *slot = true;
         }
     }
-    if frames.is_empty() {
+    let Some(frame) = &open else {
         return Err(lines.bad(last_line, "no frames"));
-    }
+    };
     complete(&given, &mut given_first, last_line)?;
-    Ok(frames)
+    take(frame);
+    Ok(())
 }
