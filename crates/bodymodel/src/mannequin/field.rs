@@ -1,6 +1,20 @@
 //! Implicit solids: lofts and ellipsoids whose value is a first-order distance [m], negative inside, and their blends.
 
 use caphy_core::Vec3;
+use nalgebra::{Matrix3, Rotation3};
+
+/// A solid of the figure.
+pub(super) trait Solid {
+    /// Distance [m], first order near the surface, negative inside.
+    fn distance(&self, p: &Vec3) -> f64;
+    /// Smallest and largest corner of what it fills [m].
+    fn bounds(&self) -> (Vec3, Vec3);
+    /// Union of `d` and this solid with a seam of width `k` [m]; a solid that is too far to matter is not evaluated.
+    fn join(&self, p: &Vec3, d: f64, k: f64) -> f64 {
+        let (low, high) = self.bounds();
+        if outside(p, &low, &high) >= d + k { d } else { smooth_min(d, self.distance(p), k) }
+    }
+}
 
 /// How far outside its box a solid is still evaluated [m]; farther away the distance to the box stands in.
 const MARGIN: f64 = 0.08;
@@ -57,8 +71,13 @@ impl Loft {
         }
         Self { axis, from, to, exponent, rounding, samples, low, high }
     }
-    /// Distance [m], first order near the surface.
-    pub(super) fn distance(&self, p: &Vec3) -> f64 {
+}
+
+impl Solid for Loft {
+    fn bounds(&self) -> (Vec3, Vec3) {
+        (self.low, self.high)
+    }
+    fn distance(&self, p: &Vec3) -> f64 {
         let far = outside(p, &self.low, &self.high);
         if far > MARGIN {
             return far;
@@ -113,23 +132,41 @@ fn superellipse(u: f64, v: f64, a: f64, b: f64, n: f64) -> f64 {
     (rho - 1.0) / gx.hypot(gy)
 }
 
-/// An axis-aligned ellipsoid.
+/// An ellipsoid.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ellipsoid {
-    /// Centre [m].
-    pub(super) centre: Vec3,
-    /// Radii [m].
-    pub(super) radii: Vec3,
+    centre: Vec3,
+    radii: Vec3,
+    /// Body axes to the ellipsoid's.
+    turn: Matrix3<f64>,
+    low: Vec3,
+    high: Vec3,
 }
 
 impl Ellipsoid {
-    /// Distance [m], first order near the surface.
-    pub(super) fn distance(&self, p: &Vec3) -> f64 {
-        let far = outside(p, &(self.centre - self.radii), &(self.centre + self.radii));
+    /// Centre and radii [m], along the body's axes.
+    pub(super) fn new(centre: [f64; 3], radii: [f64; 3]) -> Self {
+        Self::turned(centre, radii, [0.0; 3])
+    }
+    /// The same turned about its centre by a rotation vector [rad].
+    pub(super) fn turned(centre: [f64; 3], radii: [f64; 3], turn: [f64; 3]) -> Self {
+        let (centre, radii) = (Vec3::from(centre), Vec3::from(radii));
+        let rotation = Rotation3::from_scaled_axis(Vec3::from(turn)).into_inner();
+        let reach = Vec3::from_fn(|k, _| rotation.row(k).transpose().component_mul(&radii).norm());
+        Self { centre, radii, turn: rotation.transpose(), low: centre - reach, high: centre + reach }
+    }
+}
+
+impl Solid for Ellipsoid {
+    fn bounds(&self) -> (Vec3, Vec3) {
+        (self.low, self.high)
+    }
+    fn distance(&self, p: &Vec3) -> f64 {
+        let far = outside(p, &self.low, &self.high);
         if far > MARGIN {
             return far;
         }
-        let x = (p - self.centre).component_div(&self.radii);
+        let x = (self.turn * (p - self.centre)).component_div(&self.radii);
         let rho = x.norm();
         if rho < 0.2 {
             return (rho - 1.0) * self.radii.min();
@@ -141,15 +178,25 @@ impl Ellipsoid {
 /// A capsule whose radius changes from one end to the other.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Capsule {
-    /// Ends [m].
-    pub(super) ends: [Vec3; 2],
-    /// Radii at the ends [m].
-    pub(super) radii: [f64; 2],
+    ends: [Vec3; 2],
+    radii: [f64; 2],
+    low: Vec3,
+    high: Vec3,
 }
 
 impl Capsule {
-    /// Distance [m]; first order where the radius changes.
-    pub(super) fn distance(&self, p: &Vec3) -> f64 {
+    /// Ends and the radii there [m].
+    pub(super) fn new(from: Vec3, to: Vec3, radii: [f64; 2]) -> Self {
+        let [a, b] = radii.map(Vec3::repeat);
+        Self { ends: [from, to], radii, low: (from - a).inf(&(to - b)), high: (from + a).sup(&(to + b)) }
+    }
+}
+
+impl Solid for Capsule {
+    fn bounds(&self) -> (Vec3, Vec3) {
+        (self.low, self.high)
+    }
+    fn distance(&self, p: &Vec3) -> f64 {
         let along = self.ends[1] - self.ends[0];
         let t = ((p - self.ends[0]).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
         (p - self.ends[0] - along * t).norm() - (self.radii[0] * (1.0 - t) + self.radii[1] * t)
@@ -157,7 +204,7 @@ impl Capsule {
 }
 
 /// Distance to a box, 0 inside.
-fn outside(p: &Vec3, low: &Vec3, high: &Vec3) -> f64 {
+pub(super) fn outside(p: &Vec3, low: &Vec3, high: &Vec3) -> f64 {
     (low - p).sup(&(p - high)).sup(&Vec3::zeros()).norm()
 }
 

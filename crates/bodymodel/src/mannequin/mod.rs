@@ -4,8 +4,13 @@
 //! skinned (`skinning`) and given ten shape coefficients (`shape`); the result is the same
 //! [`BodySmplx`] that files give.
 
+mod correctives;
 mod field;
 mod figure;
+mod grid;
+mod hand;
+mod head;
+mod regressor;
 mod shape;
 mod skinning;
 mod surface;
@@ -71,17 +76,19 @@ impl BodyMannequin {
                 format!("give a value from {} to {} m", RESOLUTIONS.start(), RESOLUTIONS.end()),
             ));
         }
-        let mesh = surface::surface(&figure::Figure::new(), self.resolution)?;
-        let weights = skinning::weights(&mesh);
-        let joint_regressor = skinning::regressor(&mesh, &weights, &figure::joints(), self.resolution)?;
-        let shape_directions = shape::directions(&mesh, &weights);
+        let body = surface::surface(&figure::Figure::new(), self.resolution)?;
+        let weights = skinning::weights(&body);
+        let joints = figure::joints();
+        let joint_regressor = regressor::regressor(&body, &weights, &joints, self.resolution)?;
+        let shape_directions = shape::directions(&body, &weights);
+        let pose_directions = correctives::directions(&body.mesh.vertices, &weights, &joints);
         Ok(SmplxArrays {
             name: "mannequin".into(),
-            template: mesh.vertices,
-            faces: mesh.faces,
+            template: body.mesh.vertices,
+            faces: body.mesh.faces,
             shape_directions,
             expression_directions: Vec::new(),
-            pose_directions: Vec::new(),
+            pose_directions,
             joint_regressor,
             weights,
             joints: skinning::joint_tree(),

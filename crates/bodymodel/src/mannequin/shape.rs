@@ -3,10 +3,12 @@
 
 use super::figure::PELVIS_HEIGHT;
 use super::smoothstep;
+use super::surface::Symmetric;
 use caphy_core::body::BlendWeights;
 use caphy_core::pose::SMPLX_JOINTS;
 use caphy_core::query::Adjacency;
 use caphy_core::{TriMesh, Vec3};
+use rayon::prelude::*;
 
 /// What the shape coefficients mean, in order.
 pub const MANNEQUIN_SHAPE: [&str; 10] = [
@@ -44,7 +46,8 @@ fn growth(joint: &str) -> (f64, f64) {
 }
 
 /// Displacement fields per unit [m], shape [10][vertex_count].
-pub(super) fn directions(mesh: &TriMesh, weights: &BlendWeights) -> Vec<Vec<Vec3>> {
+pub(super) fn directions(body: &Symmetric, weights: &BlendWeights) -> Vec<Vec<Vec3>> {
+    let mesh = &body.mesh;
     let normals = smooth_normals(mesh);
     let growth: Vec<(f64, f64)> = SMPLX_JOINTS.iter().map(|j| growth(j)).collect();
     let mut out = vec![Vec::with_capacity(mesh.vertices.len()); MANNEQUIN_SHAPE.len()];
@@ -80,12 +83,22 @@ pub(super) fn directions(mesh: &TriMesh, weights: &BlendWeights) -> Vec<Vec<Vec3
         if let Some(k) = MANNEQUIN_SHAPE.iter().position(|n| *n == name) {
             for _ in 0..10 {
                 out[k] = (0..mesh.vertices.len())
+                    .into_par_iter()
                     .map(|v| {
                         let around = adjacency.of(v);
                         let mean = around.iter().map(|&w| out[k][w as usize]).sum::<Vec3>() / around.len() as f64;
                         (out[k][v] + mean) * 0.5
                     })
                     .collect();
+            }
+        }
+    }
+    // Sums over neighbours differ in their last bits between the sides.
+    for field in &mut out {
+        for v in 0..field.len() {
+            let of = body.mirror[v] as usize;
+            if of <= v {
+                field[v] = Vec3::new(if of == v { 0.0 } else { -field[of].x }, field[of].y, field[of].z);
             }
         }
     }
@@ -114,6 +127,7 @@ fn smooth_normals(mesh: &TriMesh) -> Vec<Vec3> {
     let mut normals = mesh.vertex_normals();
     for _ in 0..3 {
         normals = (0..normals.len())
+            .into_par_iter()
             .map(|v| {
                 let sum: Vec3 = adjacency.of(v).iter().map(|&w| normals[w as usize]).sum::<Vec3>() + normals[v] * 2.0;
                 sum.try_normalize(1e-12).unwrap_or(normals[v])
