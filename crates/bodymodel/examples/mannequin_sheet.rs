@@ -159,6 +159,18 @@ fn main() {
     near("armpit", &rest, at(0.16, 1.33, 0.0), Vec3::new(0.3, -0.3, 1.0), 0.45, true);
     near("groin", &rest, at(0.0, 0.85, 0.0), Vec3::new(0.2, -0.3, 1.0), 0.5, true);
     near("buttocks", &rest, at(0.0, 0.90, 0.0), Vec3::new(0.3, 0.0, -1.0), 0.5, true);
+    let named = |name: &str| poses().into_iter().find(|(n, _)| *n == name).map(|(_, p)| posed(&body, p, &[]));
+    let (seated, bends, up) = (named("seated"), named("90 bends"), named("arms up"));
+    let [seated, bends, up] = [seated, bends, up].map(|mesh| mesh.expect("a pose of the list"));
+    near("seated, front", &seated, at(0.0, 0.90, 0.2), Vec3::new(0.1, 0.1, 1.0), 0.6, true);
+    near("seated, above", &seated, at(0.05, 0.95, 0.1), Vec3::new(0.8, 0.6, 1.0), 0.6, true);
+    near("seated, behind", &seated, at(0.0, 0.92, 0.0), Vec3::new(0.6, 0.0, -1.0), 0.6, true);
+    near("knee bent", &bends, at(0.12, 0.52, 0.05), Vec3::new(1.0, 0.1, -0.3), 0.5, true);
+    near("elbow bent", &bends, at(0.42, 1.28, 0.0), Vec3::new(0.3, 1.0, 0.2), 0.45, true);
+    near("elbow bent, outside", &bends, at(0.42, 1.28, 0.0), Vec3::new(0.8, 0.1, -0.6), 0.45, true);
+    near("shoulders, arms up", &up, at(0.1, 1.42, 0.0), Vec3::new(0.3, 0.2, 1.0), 0.6, true);
+    near("shoulders, behind", &up, at(0.1, 1.42, 0.0), Vec3::new(0.3, 0.2, -1.0), 0.6, true);
+    near("shoulder, hanging, behind", &hang, at(0.15, 1.35, 0.0), Vec3::new(0.5, 0.2, -1.0), 0.5, true);
     near("triangles, face", &rest, face, Vec3::new(0.5, 0.1, 1.0), 0.30, false);
     near("triangles, hand", &rest, hand, Vec3::new(0.0, 1.0, 0.01), 0.22, false);
     near("triangles, torso", &rest, at(0.0, 1.2, 0.0), Vec3::new(0.5, 0.1, 1.0), 0.7, false);

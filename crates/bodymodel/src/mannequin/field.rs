@@ -86,9 +86,14 @@ impl Solid for Loft {
         let i = (x as usize).min(SAMPLES - 2);
         let t = x - i as f64;
         let s: [f64; 6] = std::array::from_fn(|k| self.samples[i][k] * (1.0 - t) + self.samples[i + 1][k] * t);
+        // Change of the sections along the axis.
+        let per_metre = (SAMPLES - 1) as f64 / (self.to - self.from);
+        let g: [f64; 6] = std::array::from_fn(|k| (self.samples[i + 1][k] - self.samples[i][k]) * per_metre);
         let (u, v) = (p[(self.axis + 1) % 3] - s[0], p[(self.axis + 2) % 3] - s[1]);
-        let (a, b) = (if u > 0.0 { s[2] } else { s[3] }, if v > 0.0 { s[4] } else { s[5] });
-        let side = superellipse(u.abs(), v.abs(), a, b, self.exponent);
+        let (a, da) = if u > 0.0 { (s[2], g[2]) } else { (s[3], g[3]) };
+        let (b, db) = if v > 0.0 { (s[4], g[4]) } else { (s[5], g[5]) };
+        let centre_rate = [g[0] * u.signum(), g[1] * v.signum()];
+        let side = superellipse([u.abs(), v.abs()], [a, b], centre_rate, [da, db], self.exponent);
         let end = (self.from - p[self.axis]).max(p[self.axis] - self.to);
         smooth_max(side, end, self.rounding)
     }
@@ -121,15 +126,18 @@ fn hermite(sections: &[Section], at: f64) -> [f64; 6] {
     })
 }
 
-/// (ρ - 1)/|∇ρ| for ρ = ((u/a)^n + (v/b)^n)^(1/n): the distance to first order.
-fn superellipse(u: f64, v: f64, a: f64, b: f64, n: f64) -> f64 {
-    let (x, y) = (u / a, v / b);
+/// (ρ - 1)/|∇ρ| for ρ = ((u/a)^n + (v/b)^n)^(1/n), with centre and radii changing along the axis at the given rates: the
+/// distance to first order.
+fn superellipse(at: [f64; 2], radii: [f64; 2], centre_rate: [f64; 2], radius_rate: [f64; 2], n: f64) -> f64 {
+    let [x, y] = [0, 1].map(|k| at[k] / radii[k]);
     let rho = if n == 2.0 { x.hypot(y) } else { (x.powf(n) + y.powf(n)).powf(1.0 / n) };
     if rho < 0.2 {
-        return (rho - 1.0) * a.min(b);
+        return (rho - 1.0) * radii[0].min(radii[1]);
     }
-    let (gx, gy) = ((x / rho).powf(n - 1.0) / a, (y / rho).powf(n - 1.0) / b);
-    (rho - 1.0) / gx.hypot(gy)
+    let power = |t: f64| if n == 2.0 { t / rho } else { (t / rho).powf(n - 1.0) };
+    let across = [power(x) / radii[0], power(y) / radii[1]];
+    let along: f64 = (0..2).map(|k| across[k] * (centre_rate[k] + [x, y][k] * radius_rate[k])).sum();
+    (rho - 1.0) / (across[0] * across[0] + across[1] * across[1] + along * along).sqrt()
 }
 
 /// An ellipsoid.

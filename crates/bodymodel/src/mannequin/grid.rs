@@ -25,25 +25,25 @@ pub(super) struct Grid {
 }
 
 /// Fingers are lost in cells larger than this across them [m].
-const LARGEST_FINGER_CELL: f64 = 0.0045;
+const LARGEST_FINGER_CELL: f64 = 0.0055;
 
 impl Grid {
     /// Cells of a size [m] in trunk and limbs.
     pub(super) fn new(cell: f64) -> Self {
         // Fingers need a certain fineness whatever the rest of the body has.
-        let finger = (cell / LARGEST_FINGER_CELL).max(4.4);
+        let finger = (cell / LARGEST_FINGER_CELL).max(3.6);
         Self {
             cell,
             hand: Part {
                 from: 0.640,
                 ramp: 0.120,
-                along: 0.72 * finger,
+                along: 0.62 * finger,
                 across: [finger, finger],
                 centre: [1.398 - PELVIS_HEIGHT, -0.015],
             },
-            head: Part { from: 1.470 - PELVIS_HEIGHT, ramp: 0.06, along: 2.2, across: [2.2, 2.0], centre: [0.0, 0.0] },
+            head: Part { from: 1.470 - PELVIS_HEIGHT, ramp: 0.06, along: 1.95, across: [1.9, 1.8], centre: [0.0, 0.0] },
             // Down from the ankle: the axis points to the floor.
-            foot: Part { from: PELVIS_HEIGHT - 0.14, ramp: 0.09, along: 1.8, across: [1.6, 1.8], centre: [0.02, 0.15] },
+            foot: Part { from: PELVIS_HEIGHT - 0.14, ramp: 0.09, along: 1.5, across: [1.4, 1.4], centre: [0.02, 0.15] },
         }
     }
 
