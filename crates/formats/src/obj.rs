@@ -1,10 +1,12 @@
 //! Wavefront OBJ: polygons, texture coordinates, normals, vertex colours, groups.
 
 mod read;
+mod write;
+
+pub use write::{ObjSequence, write_obj};
 
 use caphy_core::scan::Scan;
-use caphy_core::{Error, Result, TriMesh, Vec3};
-use std::fmt::Write;
+use caphy_core::{Result, Vec3};
 use std::ops::Range;
 use std::path::Path;
 
@@ -56,36 +58,8 @@ pub struct ObjGroup {
 /// points, lines and display attributes are skipped.
 ///
 /// # Errors
-/// [`Error::Format`] naming the line: a statement cut off, what is no number, a position, colour or texture coordinate
+/// [`Error::Format`](caphy_core::Error::Format) naming the line: a statement cut off, what is no number, a position, colour or texture coordinate
 /// that is not finite, an index out of range, free-form surfaces, what is no statement of the format.
 pub fn read_obj(path: &Path, bytes: &[u8]) -> Result<ObjMesh> {
     read::read(path, bytes)
-}
-
-/// Writes a mesh [m], with vertex colours (sRGB) when given, shape [vertex_count].
-///
-/// A sequence is one such file per frame; all share the faces.
-///
-/// # Errors
-/// [`Error::Length`] when the colours do not cover the vertices.
-pub fn write_obj(mesh: &TriMesh, colours: Option<&[[u8; 3]]>) -> Result<Vec<u8>> {
-    if let Some(colours) = colours {
-        Error::check_length("OBJ vertex colours", mesh.vertices.len(), colours.len())?;
-    }
-    let mut out = String::with_capacity(40 * mesh.vertices.len() + 24 * mesh.faces.len());
-    out += "# metres, y up\n";
-    for (i, v) in mesh.vertices.iter().enumerate() {
-        // A hundredth of a micrometre: finer than f32 at body scale. Writing to a String cannot fail.
-        let _ = write!(out, "v {:.8} {:.8} {:.8}", v.x, v.y, v.z);
-        if let Some(colours) = colours {
-            for c in colours[i] {
-                let _ = write!(out, " {:.4}", f64::from(c) / 255.0);
-            }
-        }
-        out.push('\n');
-    }
-    for f in &mesh.faces {
-        let _ = writeln!(out, "f {} {} {}", u64::from(f[0]) + 1, u64::from(f[1]) + 1, u64::from(f[2]) + 1);
-    }
-    Ok(out.into_bytes())
 }
