@@ -14,7 +14,8 @@ fuzz_target!(|data: &[u8]| {
     } else {
         // Entries parted by a line: what the mutator can move about.
         let entries: Vec<&[u8]> = split(rest, b"\n--\n");
-        let names = ["poses.npy", "trans.npy", if mode & 4 == 0 { "mocap_framerate.npy" } else { "mocap_frame_rate.npy" }];
+        let names =
+            ["poses.npy", "trans.npy", if mode & 4 == 0 { "mocap_framerate.npy" } else { "mocap_frame_rate.npy" }];
         let entries: Vec<(&str, &[u8])> = names.into_iter().zip(entries).collect();
         caphy_fuzz::stored_zip(&entries)
     };

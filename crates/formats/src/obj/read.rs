@@ -107,7 +107,12 @@ fn is_line_end(byte: u8) -> bool {
     matches!(byte, b'\n' | b'\r')
 }
 
-impl Reader<'_> {
+/// The start of a word, for messages.
+fn shown(word: &[u8]) -> String {
+    String::from_utf8_lossy(word).chars().take(40).collect()
+}
+
+impl<'a> Reader<'a> {
     fn byte(&self) -> Option<u8> {
         self.bytes.get(self.at).copied()
     }
@@ -167,7 +172,7 @@ impl Reader<'_> {
         }
     }
 
-    fn word(&mut self) -> &[u8] {
+    fn word(&mut self) -> &'a [u8] {
         let start = self.at;
         while !self.at_word_end() {
             self.at += 1;
@@ -178,7 +183,7 @@ impl Reader<'_> {
     /// The word at a place, for messages.
     fn word_at(&mut self, place: usize) -> String {
         self.at = place;
-        String::from_utf8_lossy(self.word()).chars().take(40).collect()
+        shown(self.word())
     }
 
     /// Goes behind the end of the statement.
@@ -209,12 +214,7 @@ impl Reader<'_> {
     fn statement(&mut self) -> Result<()> {
         if self.word_follows() {
             let start = self.at;
-            // The word is short, and borrowing it would hold the reader.
-            let mut name = [0u8; 12];
-            let word = self.word();
-            let length = word.len();
-            let known = name.get_mut(..length).map(|n| n.copy_from_slice(word)).is_some();
-            match &name[..if known { length } else { 0 }] {
+            match self.word() {
                 b"v" => self.vertex(start)?,
                 b"vt" => self.uv(start)?,
                 b"vn" => self.normal(start)?,
@@ -229,10 +229,10 @@ impl Reader<'_> {
                     };
                     return Err(self.with_remedy(start, problem, remedy));
                 }
-                word if known && SKIPPED.contains(&word) => {}
+                word if SKIPPED.contains(&word) => {}
                 // Skipping it would hide a damaged vertex, and every id after it would name another one.
-                _ => {
-                    let word = self.word_at(start);
+                word => {
+                    let word = shown(word);
                     return Err(self.bad(start, format!("`{word}` is no statement of an OBJ file")));
                 }
             }
@@ -274,13 +274,11 @@ impl Reader<'_> {
             }
             self.at = start;
         }
-        match parse_float(self.word()) {
-            Some(value) => Ok(value),
-            None => {
-                let word = self.word_at(start);
-                Err(self.bad(start, format!("`{word}` is no number")))
-            }
-        }
+        let word = self.word();
+        parse_float(word).ok_or_else(|| {
+            let word = shown(word);
+            self.bad(start, format!("`{word}` is no number"))
+        })
     }
 
     #[inline]
@@ -480,13 +478,12 @@ const STATEMENTS: [&str; 3] = ["vertices", "texture coordinates", "normals"];
 impl Corners {
     #[inline]
     fn push(&mut self, id: Option<u32>) {
+        if self.missing {
+            return;
+        }
         match id {
-            Some(id) if !self.missing => self.ids.push(id),
-            Some(_) => {}
-            None => {
-                self.missing = true;
-                self.ids = Vec::new();
-            }
+            Some(id) => self.ids.push(id),
+            None => *self = Self { ids: Vec::new(), missing: true },
         }
     }
 }
