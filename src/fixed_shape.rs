@@ -1,6 +1,8 @@
 //! A body whose shape is settled: only its pose is left to fit.
 
-use caphy_core::body::{BodyDescription, BodyGradient, BodyModel, BodyParameters, PosedBody};
+use caphy_core::body::{
+    BodyDescription, BodyGradient, BodyModel, BodyParameters, PosedBody, PosedSkeleton, SurfacePoint,
+};
 use caphy_core::{Result, Vec3};
 use nalgebra::DMatrix;
 
@@ -43,5 +45,17 @@ impl BodyModel for FixedShape<'_> {
         let full = self.body.jacobian(&self.full(parameters), vertices)?;
         let columns = 3 + 3 * parameters.rotations.len();
         Ok(full.columns(0, columns).into_owned())
+    }
+    fn rest(&self, shape: &[f64]) -> BodyParameters {
+        BodyParameters { shape: shape.to_vec(), ..self.body.rest(&[]) }
+    }
+    fn skeleton(&self, parameters: &BodyParameters) -> Result<PosedSkeleton> {
+        self.body.skeleton(&self.full(parameters))
+    }
+    fn landmark_names(&self) -> &[String] {
+        self.body.landmark_names()
+    }
+    fn landmarks(&self, rotations: &[Vec3]) -> Result<Vec<SurfacePoint>> {
+        self.body.landmarks(rotations)
     }
 }

@@ -57,19 +57,24 @@ static int32_t read_table(caphy_text toml, woven *out, caphy_sink error) {
     while (at < toml.len) {
         char line[256];
         size_t n = 0;
-        while (at < toml.len && toml.data[at] != '\n') {
-            if (n + 1 < sizeof(line)) line[n++] = (char)toml.data[at];
-            at++;
+        for (; at < toml.len && toml.data[at] != '\n'; at++) {
+            if (n + 1 == sizeof(line) || toml.data[at] == 0) {
+                return wrong(error, "(table)", "a line is too long or holds a zero byte", "write key = number");
+            }
+            line[n++] = (char)toml.data[at];
         }
         at++;
         line[n] = 0;
         char *comment = strchr(line, '#');
         if (comment) *comment = 0;
+        if (line[strspn(line, " \t\r")] == 0) continue;
         char key[64], value[128];
-        int read = sscanf(line, " %63[A-Za-z0-9_-] = %127s", key, value);
-        if (read <= 0) continue;
+        int end_of_line = -1;
+        int read = sscanf(line, " %63[A-Za-z0-9_-] = %127s %n", key, value, &end_of_line);
+        if (read <= 0) return wrong(error, "(table)", "a line has no key", "write key = number");
         if (read == 1) return wrong(error, key, "has no value", "write key = number");
         if (strcmp(key, "type") == 0) continue;
+        if (line[end_of_line] != 0) return wrong(error, key, "has more than one value", "write key = number");
         int found = -1;
         for (int i = 0; i < KEYS; i++) {
             if (strcmp(key, NAMES[i]) == 0) found = i;

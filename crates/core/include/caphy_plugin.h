@@ -11,7 +11,9 @@
  *   - Equal blocks give equal bits, on any thread. Zero strain gives zero energy and stress. Every wanted output is finite
  *     for finite input.
  *   - A status other than CAPHY_OK leaves outputs undefined; its text, written to `error`, says why. For CAPHY_CONFIG the
- *     text has three lines: the key, the problem, the remedy.
+ *     text has three lines: the key, the problem, the remedy; for CAPHY_LENGTH: the array's name, the length expected, the
+ *     length given; for CAPHY_NON_FINITE: the array's name, the flat index, the value. For CAPHY_PARAMETER it has five: the
+ *     parameter's name, the value, the lower and the upper bound, the unit.
  */
 #ifndef CAPHY_PLUGIN_H
 #define CAPHY_PLUGIN_H
@@ -23,11 +25,14 @@
 extern "C" {
 #endif
 
-#define CAPHY_ABI_VERSION 1
+#define CAPHY_ABI_VERSION 2
 #define CAPHY_OK 0
 #define CAPHY_UNSUPPORTED 1
 #define CAPHY_CONFIG 2
 #define CAPHY_FAILED 3
+#define CAPHY_LENGTH 5
+#define CAPHY_NON_FINITE 6
+#define CAPHY_PARAMETER 7
 #define CAPHY_KIND_MATERIAL 0
 #define CAPHY_KIND_NET 1
 

@@ -78,6 +78,18 @@ impl BodyDescription {
     pub fn joint(&self, name: &str) -> Option<usize> {
         self.joints.iter().position(|j| j.name == name)
     }
+    /// `Ok` when all these vertices exist, else an [`Error::Mesh`] that names the first that does not.
+    pub fn check_vertices(&self, ids: &[u32]) -> Result<()> {
+        match ids.iter().find(|id| **id as usize >= self.vertex_count) {
+            None => Ok(()),
+            Some(id) => Err(Error::mesh(
+                self.name.clone(),
+                format!("vertex {id}"),
+                format!("does not exist, there are {}", self.vertex_count),
+                "ask for vertices of this body",
+            )),
+        }
+    }
 }
 
 /// Parameters of one posed body (Eq. 1).
@@ -118,6 +130,47 @@ pub struct PosedBody {
     pub transforms: Vec<Matrix3x4<f64>>,
 }
 
+/// Joints and blend transforms of a posed body, without its surface.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PosedSkeleton {
+    /// As in [`PosedBody::joints`].
+    pub joints: Vec<Vec3>,
+    /// As in [`PosedBody::transforms`].
+    pub transforms: Vec<Matrix3x4<f64>>,
+}
+
+/// A point that rides on the surface: a weighted mean of three vertices, linear in them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SurfacePoint {
+    /// Vertices; repeated ones count together.
+    pub vertices: [u32; 3],
+    /// Weights, sum 1.
+    pub weights: [f64; 3],
+}
+
+impl SurfacePoint {
+    /// The point of a single vertex.
+    pub fn vertex(id: u32) -> Self {
+        Self { vertices: [id; 3], weights: [1.0, 0.0, 0.0] }
+    }
+    /// Where it is on a posed surface [m].
+    ///
+    /// # Panics
+    /// When a vertex does not exist.
+    pub fn on(&self, vertices: &[Vec3]) -> Vec3 {
+        self.vertices.iter().zip(&self.weights).map(|(&v, w)| vertices[v as usize] * *w).sum()
+    }
+    /// Adds a cotangent of this point to the cotangents of the vertices, for [`BodyModel::vjp`].
+    ///
+    /// # Panics
+    /// When a vertex does not exist.
+    pub fn pull_back(&self, cotangent: &Vec3, vertex_cotangents: &mut [Vec3]) {
+        for (&v, w) in self.vertices.iter().zip(&self.weights) {
+            vertex_cotangents[v as usize] += cotangent * *w;
+        }
+    }
+}
+
 /// Gradient with respect to [`BodyParameters`]; shapes as there, `shape` of the length given.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyGradient {
@@ -136,8 +189,11 @@ pub struct BodyGradient {
 /// A body: T(β,θ,dT) = W(T(β)+dT, J(β), θ, w) (Eq. 1).
 ///
 /// # Promise
-/// Pure and thread-safe. Zero rotations, translation and dT give T(β). The root's rotation turns the whole body about its
-/// joint; the translation comes last. Derivatives are exact, also at zero rotation. Joints come from T(β) without dT.
+/// Pure and thread-safe. The parameters of [`BodyModel::rest`] (zero rotations, unless a body says otherwise) give T(β). The
+/// root's rotation turns the whole body about its joint; the translation comes last. Derivatives are exact, also at zero
+/// rotation. Joints come from T(β) without dT.
+///
+/// Landmarks are optional: a body without any has no names and no points, which is no error.
 ///
 /// # Shapes and units
 /// As in [`BodyParameters`] and [`PosedBody`]: metres and radians. Nothing here assumes SMPL-X: joints are named and
@@ -166,15 +222,7 @@ pub trait BodyModel: Send + Sync {
         let mut out = DMatrix::zeros(3 * vertices.len(), columns);
         let mut cotangents = vec![Vec3::zeros(); n];
         for (i, &v) in vertices.iter().enumerate() {
-            let Some(slot) = cotangents.get(v as usize).copied() else {
-                return Err(Error::mesh(
-                    self.describe().name.clone(),
-                    format!("vertex {v}"),
-                    format!("does not exist, there are {n}"),
-                    "ask for vertices of this body",
-                ));
-            };
-            debug_assert_eq!(slot, Vec3::zeros());
+            self.describe().check_vertices(&[v])?;
             for axis in 0..3 {
                 cotangents[v as usize][axis] = 1.0;
                 let g = self.vjp(parameters, &cotangents, &[])?;
@@ -187,10 +235,34 @@ pub trait BodyModel: Send + Sync {
         }
         Ok(out)
     }
+    /// The T-pose at the origin with a shape: the parameters that give T(β). Bodies that measure rotations from another pose
+    /// than the T-pose (relaxed hands) override it.
+    fn rest(&self, shape: &[f64]) -> BodyParameters {
+        BodyParameters::rest(self.describe().joints.len(), shape)
+    }
+    /// Joints and transforms alone, the same as [`BodyModel::forward`] gives. The default poses the surface, too.
+    fn skeleton(&self, parameters: &BodyParameters) -> Result<PosedSkeleton> {
+        self.forward(parameters).map(|posed| PosedSkeleton { joints: posed.joints, transforms: posed.transforms })
+    }
+    /// Names of the points beyond the joints that [`BodyModel::landmarks`] places: unique, and no joint's name. Default none.
+    fn landmark_names(&self) -> &[String] {
+        &[]
+    }
+    /// Where the landmarks sit on the surface in a pose, shape [landmark_names]: [`SurfacePoint::on`] the posed vertices gives
+    /// them, [`SurfacePoint::pull_back`] takes their cotangents to the vertices. Most do not depend on the pose; contours
+    /// slide in steps, between which they are constant.
+    ///
+    /// # Errors
+    /// As [`BodyModel::forward`] for the rotations, shape [joint_count].
+    fn landmarks(&self, rotations: &[Vec3]) -> Result<Vec<SurfacePoint>> {
+        Error::check_length("rotations", self.describe().joints.len(), rotations.len())?;
+        Ok(Vec::new())
+    }
     /// Poses many frames into lanes: frame `i` goes to block `i / lanes_used`, lane `i % lanes_used`. `subset` picks vertices
     /// (in its order), `None` means all. The default goes through [`BodyModel::forward`].
     fn forward_frames(&self, frames: &[BodyParameters], subset: Option<&[u32]>, out: &mut Frames<f32>) -> Result<()> {
         Error::check_length("frames of a batch", out.frames(), frames.len())?;
+        self.describe().check_vertices(subset.unwrap_or(&[]))?;
         let lanes = out.lanes_used();
         for (i, parameters) in frames.iter().enumerate() {
             let posed = self.forward(parameters)?;

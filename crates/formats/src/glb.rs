@@ -2,15 +2,25 @@
 //!
 //! A garment's frames become one morph target each, with weights that walk through them: every viewer plays that. The
 //! body is skinned by its joints (glTF has no pose correctives: near bent joints it differs from the body model by them).
+//!
+//! Per frame a garment takes 24 bytes per vertex (positions and normals) and the weights 4 bytes per frame of the clip:
+//! a minute at 30 Hz of 4400 vertices is 200 MB. Longer clips are what PC2 and USD are for. Frames are asked for twice,
+//! for their bounds and for their bytes, and one at a time is in memory.
 
 mod buffer;
 
-use buffer::Buffer;
+pub use crate::colour::MeshColour as GlbColour;
+
+use crate::colour::linear;
+use crate::moving::{VertexFrames, checked_frame};
+use buffer::{Buffer, Piece};
 use caphy_core::mesh::vertex_normals;
 use caphy_core::pose::Pose;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use nalgebra::UnitQuaternion;
 use serde_json::{Value, json};
+use std::io::Write;
+use std::path::Path;
 
 /// What goes into one file.
 #[derive(Debug, Clone)]
@@ -45,22 +55,13 @@ pub struct GlbMesh<'a> {
     pub motion: GlbMotion<'a>,
 }
 
-/// Colour of a mesh, sRGB.
-#[derive(Debug, Clone, Copy)]
-pub enum GlbColour<'a> {
-    /// One colour.
-    Uniform([u8; 3]),
-    /// A colour per vertex, shape [vertex_count].
-    PerVertex(&'a [[u8; 3]]),
-}
-
 /// Motion of a mesh.
 #[derive(Debug, Clone, Copy)]
 pub enum GlbMotion<'a> {
     /// None.
     Still,
-    /// Vertex positions [m], shape [frame_count][vertex_count].
-    Vertices(&'a [Vec<Vec3>]),
+    /// Vertex positions in each frame.
+    Vertices(&'a dyn VertexFrames),
     /// Linear blend skinning.
     Skinned(GlbSkin<'a>),
 }
@@ -80,13 +81,24 @@ pub struct GlbSkin<'a> {
     pub poses: &'a [Pose],
 }
 
-/// Writes the scene.
+/// The scene as one array of bytes; see [`write_glb_to`].
+///
+/// # Errors
+/// Those of [`write_glb_to`].
+pub fn write_glb(scene: &GlbScene) -> Result<Vec<u8>> {
+    let mut out = Vec::new();
+    write_glb_to(Path::new("memory"), &mut out, scene)?;
+    Ok(out)
+}
+
+/// Writes the scene, one frame in memory at a time; `path` is for messages.
 ///
 /// # Errors
 /// [`Error::Length`] and [`Error::NonFinite`] naming mesh and array; [`Error::Mesh`] for an empty mesh, no frames, an
 /// unordered joint tree, a vertex without weights; [`Error::Numerics`] for a frame rate that is not positive or a file
-/// of over 4 GiB, which the format cannot hold.
-pub fn write_glb(scene: &GlbScene) -> Result<Vec<u8>> {
+/// of over 4 GiB, which the format cannot hold; [`Error::Io`]. Nothing is written before all of them but the last are
+/// excluded.
+pub fn write_glb_to(path: &Path, out: &mut dyn Write, scene: &GlbScene) -> Result<()> {
     if !(scene.fps.is_finite() && scene.fps > 0.0) {
         let problem = format!("frame rate {} 1/s", scene.fps);
         return Err(Error::numerics("GLB scene", problem, "give a positive frame rate"));
@@ -95,10 +107,10 @@ pub fn write_glb(scene: &GlbScene) -> Result<Vec<u8>> {
         return Err(Error::numerics("GLB scene", "has no meshes", "give at least one"));
     }
     let mut w = Writer { scene, buffer: Buffer::default(), nodes: vec![], roots: vec![], parts: Parts::default() };
-    for mesh in &scene.meshes {
-        w.mesh(mesh)?;
+    for (index, mesh) in scene.meshes.iter().enumerate() {
+        w.mesh(index, mesh)?;
     }
-    w.finish()
+    w.finish(path, out)
 }
 
 #[derive(Default)]
@@ -119,7 +131,7 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    fn mesh(&mut self, item: &GlbMesh) -> Result<()> {
+    fn mesh(&mut self, index: usize, item: &GlbMesh) -> Result<()> {
         let (name, mesh) = (&item.name, item.mesh);
         mesh.check(name)?;
         let vertex_count = mesh.vertices.len();
@@ -130,11 +142,11 @@ impl Writer<'_> {
         let mut attributes = serde_json::Map::new();
         attributes.insert("POSITION".into(), self.buffer.positions(&mesh.vertices).into());
         attributes.insert("NORMAL".into(), self.buffer.normals(&normals).into());
+        item.colour.check(name, vertex_count)?;
         // glTF colours are linear; white is the factor that leaves vertex colours as they are.
         let base = match item.colour {
             GlbColour::Uniform(colour) => colour.map(linear),
             GlbColour::PerVertex(colours) => {
-                Error::check_length(&format!("mesh `{name}`, vertex colours"), vertex_count, colours.len())?;
                 attributes.insert("COLOR_0".into(), self.buffer.colours(colours).into());
                 [1.0; 3]
             }
@@ -164,26 +176,13 @@ impl Writer<'_> {
         match &item.motion {
             GlbMotion::Still => {}
             GlbMotion::Vertices(frames) => {
-                let mut targets = Vec::with_capacity(frames.len());
-                for (frame, vertices) in frames.iter().enumerate() {
-                    let what = || format!("mesh `{name}`, frame {frame}");
-                    Error::check_length(&what(), vertex_count, vertices.len())?;
-                    for (v, p) in vertices.iter().enumerate() {
-                        Error::check_finite(&format!("{}, vertex {v}", what()), p.as_slice())?;
-                    }
-                    let turned = unit_normals(vertices, &mesh.faces);
-                    let minus = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<_>>();
-                    targets.push(json!({
-                        "POSITION": self.buffer.positions(&minus(vertices, &mesh.vertices)),
-                        "NORMAL": self.buffer.normals(&minus(&turned, &normals))
-                    }));
-                }
-                primitive["targets"] = targets.into();
+                let count = frames.frame_count();
+                // First, since it knows whether the clip fits into the format at all.
+                primitive["targets"] = self.targets(index, item, *frames)?.into();
+                let input = self.times(name, count)?;
                 // A viewer that does not animate shows the first frame.
-                let one_hot = |frame: usize| (0..frames.len()).map(move |k| if k == frame { 1.0 } else { 0.0 });
-                entry["weights"] = one_hot(0).collect::<Vec<f64>>().into();
-                let input = self.times(name, frames.len())?;
-                let output = self.buffer.scalars((0..frames.len()).flat_map(one_hot));
+                entry["weights"] = (0..count).map(|k| f64::from(u8::from(k == 0))).collect::<Vec<f64>>().into();
+                let output = self.buffer.walking_weights(count)?;
                 self.channel(node, "weights", input, output);
             }
             GlbMotion::Skinned(skin) => self.skin(name, skin, node)?,
@@ -191,6 +190,16 @@ impl Writer<'_> {
         entry["primitives"] = json!([primitive]);
         self.parts.meshes.push(entry);
         Ok(())
+    }
+
+    /// Describes a morph target per frame; their bytes are made when they are written.
+    fn targets(&mut self, index: usize, item: &GlbMesh, frames: &dyn VertexFrames) -> Result<Vec<Value>> {
+        let rest = &item.mesh.vertices;
+        let mut vertices = Vec::with_capacity(rest.len());
+        self.buffer.targets(index, frames.frame_count(), rest.len(), |frame| {
+            checked_frame(&item.name, rest.len(), frames, frame, &mut vertices)?;
+            Ok(buffer::bounds_f32(vertices.iter().zip(rest).map(|(a, b)| a - b)))
+        })
     }
 
     fn skin(&mut self, name: &str, skin: &GlbSkin, mesh_node: usize) -> Result<()> {
@@ -259,7 +268,8 @@ impl Writer<'_> {
         self.parts.channels.push(json!({ "sampler": sampler, "target": { "node": node, "path": path } }));
     }
 
-    fn finish(self) -> Result<Vec<u8>> {
+    fn finish(self, path: &Path, out: &mut dyn Write) -> Result<()> {
+        let data = self.buffer.len();
         let mut document = json!({
             "asset": { "version": "2.0", "generator": "caphy" },
             "scene": 0,
@@ -267,7 +277,7 @@ impl Writer<'_> {
             "nodes": self.nodes,
             "meshes": self.parts.meshes,
             "materials": self.parts.materials,
-            "buffers": [{ "byteLength": self.buffer.bytes.len() }],
+            "buffers": [{ "byteLength": data }],
             "bufferViews": self.buffer.views,
             "accessors": self.buffer.accessors,
         });
@@ -280,26 +290,51 @@ impl Writer<'_> {
                 json!([{ "name": "motion", "samplers": self.parts.samplers, "channels": self.parts.channels }]);
         }
         let mut text = document.to_string().into_bytes();
+        drop(document);
         text.resize(text.len().next_multiple_of(4), b' ');
         // Every accessor is padded to four bytes as it is written.
-        let data = self.buffer.bytes;
-        let total = 12 + 8 + text.len() + 8 + data.len();
-        let Ok(total_32) = u32::try_from(total) else {
-            let problem = format!("{total} bytes, the format holds at most {}", u32::MAX);
-            return Err(Error::numerics("GLB scene", problem, "export fewer frames or an OBJ sequence"));
-        };
-        let mut out = Vec::with_capacity(total);
-        out.extend(b"glTF");
-        out.extend(2u32.to_le_bytes());
-        out.extend(total_32.to_le_bytes());
-        out.extend((text.len() as u32).to_le_bytes());
-        out.extend(b"JSON");
-        out.extend(text);
-        out.extend((data.len() as u32).to_le_bytes());
-        out.extend(b"BIN\0");
-        out.extend(data);
-        Ok(out)
+        let total = buffer::checked_size(12 + 8 + text.len() + 8 + data)?;
+        let failed = |e| Error::io(path, "write", e);
+        let mut head = Vec::with_capacity(20);
+        head.extend(b"glTF");
+        head.extend(2u32.to_le_bytes());
+        head.extend(total.to_le_bytes());
+        head.extend((text.len() as u32).to_le_bytes());
+        head.extend(b"JSON");
+        out.write_all(&head).map_err(failed)?;
+        out.write_all(&text).map_err(failed)?;
+        drop(text);
+        out.write_all(&(data as u32).to_le_bytes()).map_err(failed)?;
+        out.write_all(b"BIN\0").map_err(failed)?;
+        for piece in self.buffer.into_pieces() {
+            match piece {
+                Piece::Bytes(bytes) => out.write_all(&bytes).map_err(failed)?,
+                Piece::Weights(frames) => buffer::write_weights(out, frames).map_err(failed)?,
+                Piece::Targets(index) => write_targets(path, out, &self.scene.meshes[index])?,
+            }
+        }
+        out.flush().map_err(failed)
     }
+}
+
+/// The bytes of a mesh's morph targets: differences of positions and of normals, frame by frame.
+fn write_targets(path: &Path, out: &mut dyn Write, item: &GlbMesh) -> Result<()> {
+    let GlbMotion::Vertices(frames) = item.motion else { return Ok(()) };
+    let rest = &item.mesh.vertices;
+    let normals = unit_normals(rest, &item.mesh.faces);
+    let mut vertices = Vec::with_capacity(rest.len());
+    let mut bytes = Vec::with_capacity(24 * rest.len());
+    for frame in 0..frames.frame_count() {
+        checked_frame(&item.name, rest.len(), frames, frame, &mut vertices)?;
+        let turned = unit_normals(&vertices, &item.mesh.faces);
+        bytes.clear();
+        let differences = vertices.iter().zip(rest).chain(turned.iter().zip(&normals));
+        for c in differences.flat_map(|(a, b)| (a - b).data.0[0]) {
+            bytes.extend((c as f32).to_le_bytes());
+        }
+        out.write_all(&bytes).map_err(|e| Error::io(path, "write", e))?;
+    }
+    Ok(())
 }
 
 fn check_skin(name: &str, skin: &GlbSkin, vertex_count: usize) -> Result<()> {
@@ -341,10 +376,4 @@ fn unit_normals(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<Vec3> {
         }
     }
     normals
-}
-
-/// Linear intensity of an sRGB channel (IEC 61966-2-1).
-fn linear(channel: u8) -> f64 {
-    let c = f64::from(channel) / 255.0;
-    if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) }
 }

@@ -17,7 +17,21 @@ pub use bvh::read_bvh;
 pub use mapping::{SkeletonMapping, SkeletonRest};
 pub use smpl_npz::{SmplNpzOptions, TranslationMeaning, read_smpl_npz};
 
-/// The file's stem: the clip's name.
-fn clip_name(path: &std::path::Path) -> String {
-    path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
+use caphy_core::motion::MotionClip;
+use caphy_core::pose::Pose;
+use caphy_core::{Error, Result};
+use std::path::Path;
+
+/// The clip of a file, named after it.
+///
+/// # Errors
+/// [`Error::Format`] naming the frame whose numbers overflowed on the way to a pose; those of [`MotionClip::new`].
+fn named_clip(path: &Path, fps: f64, poses: Vec<Pose>) -> Result<MotionClip> {
+    let finite = |p: &Pose| p.rotations.iter().chain([&p.translation]).all(|v| v.iter().all(|x| x.is_finite()));
+    if let Some(frame) = poses.iter().position(|p| !finite(p)) {
+        let problem = "numbers too large for a pose";
+        return Err(Error::format(path, format!("frame {frame}"), problem, "the file is damaged: get it again"));
+    }
+    let name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    MotionClip::new(name, fps, poses)
 }

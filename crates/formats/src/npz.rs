@@ -1,16 +1,28 @@
 //! NumPy archives (`.npz`): a zip of `.npy` arrays. Pickles are refused, never unpickled.
 //!
-//! The zip layer is `zip`'s. The `.npy` layer is read here, because files of this field mix widths freely (faces as
-//! `u4` or `i8`, rates as `f8` or `i8`, weights as `f4` or `f8`) and because a header is checked against the size of
-//! its zip entry before anything is allocated.
+//! Files of this field mix widths freely (faces as `u4` or `i8`, rates as `f8` or `i8`, weights as `f4` or `f8`): a
+//! caller asks for the type that it needs. Sizes are checked before memory is taken: the directory against the file,
+//! an array's header against its entry, and what an entry says it holds against what it packs.
+//!
+//! NaN and infinities pass through [`Npz::f64s`] and [`Npz::f32s`], since some files mark missing values so; callers
+//! that cannot use them call [`Npz::finite_f64s`] and [`Npz::finite_f32s`].
 
-use caphy_core::{Error, Result};
-use std::io::{Cursor, Read};
+mod archive;
+
+use archive::{Entry, Refused, read_directory};
+use caphy_core::{Error, Real, Result};
+use std::io::Read;
 use std::path::{Path, PathBuf};
-use zip::ZipArchive;
 
-/// Largest array that is read [bytes]: ten times the largest of a body model (SMPL-X pose correctives, 122 MB).
+/// Largest array that is read [bytes as `f64`]: ten times the largest of a body model (SMPL-X pose correctives, 122 MB).
 const LARGEST_ARRAY: u64 = 2 << 30;
+/// Array up to which any compression is believed [bytes as `f64`]: twice the largest of a body model, since arrays of zeros
+/// (correctives that were switched off) pack a thousandfold and are real.
+const LARGEST_EMPTY: u64 = 256 << 20;
+/// Compression that is believed above that; floats of measurements pack by less than 4, sparse weights by 50.
+const LARGEST_RATIO: u64 = 100;
+/// Most texts of one array: each is a piece of memory of its own.
+const MOST_TEXTS: usize = 1 << 20;
 /// Longest `.npy` header that is read [bytes]: NumPy's own limit for untrusted files is of this order.
 const LONGEST_HEADER: usize = 64 << 10;
 
@@ -28,6 +40,8 @@ pub struct Npz {
     path: PathBuf,
     bytes: Vec<u8>,
     names: Vec<String>,
+    /// Parallel to `names`.
+    entries: Vec<Entry>,
 }
 
 impl Npz {
@@ -55,13 +69,15 @@ impl Npz {
                 ),
             ));
         }
-        let archive = ZipArchive::new(Cursor::new(bytes.as_slice())).map_err(|e| {
-            Error::format(path, "zip directory", e.to_string(), "the file is damaged, cut off or no .npz: get it again")
-        })?;
-        let mut names: Vec<String> =
-            archive.file_names().filter_map(|file| file.strip_suffix(".npy")).map(String::from).collect();
-        names.sort();
-        Ok(Self { path: path.into(), bytes, names })
+        let entries = read_directory(&bytes)
+            .map_err(|Refused { problem, remedy }| Error::format(path, "zip directory", problem, remedy))?;
+        let mut entries: Vec<(String, Entry)> = entries
+            .into_iter()
+            .filter_map(|entry| Some((entry.name.strip_suffix(".npy")?.to_string(), entry)))
+            .collect();
+        entries.sort_by(|a, b| a.0.cmp(&b.0));
+        let (names, entries) = entries.into_iter().unzip();
+        Ok(Self { path: path.into(), bytes, names, entries })
     }
     /// Path that was given, for messages of callers.
     pub fn path(&self) -> &Path {
@@ -109,6 +125,20 @@ impl Npz {
         let wide = self.f64s(name)?;
         Ok(Array { shape: wide.shape, data: wide.data.into_iter().map(|x| x as f32).collect() })
     }
+    /// [`Npz::f64s`] without NaN and infinities.
+    ///
+    /// # Errors
+    /// Those of [`Npz::f64s`], and [`Error::Format`] naming the first value that is not finite.
+    pub fn finite_f64s(&self, name: &str) -> Result<Array<f64>> {
+        self.finite(name, self.f64s(name)?)
+    }
+    /// [`Npz::f32s`] without NaN and infinities, those of `f64` values too large for `f32` among them.
+    ///
+    /// # Errors
+    /// Those of [`Npz::f64s`], and [`Error::Format`] naming the first value that is not finite.
+    pub fn finite_f32s(&self, name: &str) -> Result<Array<f32>> {
+        self.finite(name, self.f32s(name)?)
+    }
     /// An integer or boolean array of any width as `i64`.
     ///
     /// Unsigned values keep their value (`u32::MAX`, the parent of a root joint, stays 4294967295); `u64` values over
@@ -139,6 +169,10 @@ impl Npz {
     /// [`Error::Format`]: no such array (listing those that exist), not texts, invalid characters.
     pub fn strings(&self, name: &str) -> Result<Vec<String>> {
         let raw = self.raw(name)?;
+        if raw.header.count > MOST_TEXTS {
+            let problem = format!("{} texts, at most {MOST_TEXTS} are read", raw.header.count);
+            return Err(Error::format(&self.path, format!("array `{name}`"), problem, "texts are names: save fewer"));
+        }
         let bad = |i: usize| {
             Error::format(
                 &self.path,
@@ -182,6 +216,19 @@ impl Npz {
         }
     }
 
+    fn finite<T: Real>(&self, name: &str, array: Array<T>) -> Result<Array<T>> {
+        let Some(flat) = array.data.iter().position(|x| !x.is_finite()) else { return Ok(array) };
+        let mut rest = flat;
+        let mut index: Vec<usize> = array.shape.iter().rev().map(|&n| (rest % n, rest /= n).0).collect();
+        index.reverse();
+        Err(Error::format(
+            &self.path,
+            format!("array `{name}`, element {index:?} of {:?}", array.shape),
+            format!("is {}", array.data[flat].to_f64()),
+            "finite numbers are needed: repair the file or drop what the value belongs to",
+        ))
+    }
+
     fn wrong_kind(&self, name: &str, raw: &Raw, wanted: &str) -> Error {
         Error::format(
             &self.path,
@@ -193,16 +240,17 @@ impl Npz {
 
     fn raw(&self, name: &str) -> Result<Raw> {
         let at = || format!("array `{name}`");
-        if !self.has(name) {
+        let Ok(place) = self.names.binary_search_by(|n| n.as_str().cmp(name)) else {
             let list = if self.names.is_empty() { "none".into() } else { self.names.join(", ") };
             return Err(Error::format(&self.path, at(), "is missing", format!("arrays in this file: {list}")));
-        }
+        };
+        let found = &self.entries[place];
         let damaged = |problem: String| {
             Error::format(&self.path, at(), problem, "the file is damaged or made to deceive: get it again")
         };
-        let mut archive = ZipArchive::new(Cursor::new(self.bytes.as_slice())).map_err(|e| damaged(e.to_string()))?;
-        let mut entry = archive.by_name(&format!("{name}.npy")).map_err(|e| damaged(e.to_string()))?;
-        let announced = entry.size();
+        let mut entry = found
+            .open(&self.bytes)
+            .map_err(|Refused { problem, remedy }| Error::format(&self.path, at(), problem, remedy))?;
 
         let mut start = [0u8; 10];
         entry.read_exact(&mut start).map_err(|e| damaged(format!("no .npy header: {e}")))?;
@@ -234,15 +282,22 @@ impl Npz {
         let expected = (header.count as u64)
             .checked_mul(header.kind.size() as u64)
             .ok_or_else(|| damaged(format!("shape {:?} overflows", header.shape)))?;
-        let held = announced.saturating_sub((before_data + length) as u64);
+        let held = found.size.saturating_sub((before_data + length) as u64);
         if expected != held {
             return Err(damaged(format!(
                 "type '{}' and shape {:?} need {expected} bytes, the archive announces {held}",
                 header.descr, header.shape
             )));
         }
-        if expected > LARGEST_ARRAY {
-            return Err(damaged(format!("{expected} bytes, at most {LARGEST_ARRAY} are read")));
+        // Narrow numbers grow to eight bytes when they are handed out, and texts to more than that.
+        let handed_out = expected.max((header.count as u64).saturating_mul(8));
+        if handed_out > LARGEST_ARRAY {
+            return Err(damaged(format!("{handed_out} bytes in memory, at most {LARGEST_ARRAY} are read")));
+        }
+        if handed_out > LARGEST_EMPTY && found.size / LARGEST_RATIO > found.compressed {
+            let problem = format!("{expected} bytes out of {}: more than {LARGEST_RATIO} to 1", found.compressed);
+            let remedy = "if the array is real, save it with numpy.savez (not compressed)";
+            return Err(Error::format(&self.path, at(), problem, remedy));
         }
         // A directory may lie: memory grows with what really arrives.
         let mut data = Vec::with_capacity((expected as usize).min(64 << 20));
@@ -254,6 +309,7 @@ impl Npz {
         if data.len() as u64 != expected {
             return Err(damaged(format!("{} bytes of data instead of {expected}", data.len())));
         }
+        entry.finish().map_err(damaged)?;
         Ok(Raw { header, data })
     }
 }

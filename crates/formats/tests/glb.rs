@@ -2,7 +2,8 @@
 
 use caphy_core::pose::Pose;
 use caphy_core::{Result, TriMesh, Vec3};
-use caphy_formats::glb::{GlbColour, GlbInterpolation, GlbMesh, GlbMotion, GlbScene, GlbSkin, write_glb};
+use caphy_formats::glb::{GlbColour, GlbInterpolation, GlbMesh, GlbMotion, GlbScene, GlbSkin, write_glb, write_glb_to};
+use caphy_formats::moving::{ComputedFrames, VertexFrames};
 use nalgebra::{Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector4};
 use serde_json::Value;
 use std::path::Path;
@@ -296,4 +297,57 @@ fn the_khronos_validator_finds_no_error() -> Result<()> {
         }
     }
     Ok(())
+}
+
+#[test]
+fn long_clips_are_written_piece_by_piece_and_too_long_ones_refused_before_any_frame() {
+    /// Counts bytes and keeps none.
+    #[derive(Default)]
+    struct Meter {
+        total: usize,
+        largest: usize,
+        json: usize,
+    }
+    impl std::io::Write for Meter {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            self.total += bytes.len();
+            if bytes.starts_with(b"{") {
+                self.json = bytes.len();
+            } else {
+                self.largest = self.largest.max(bytes.len());
+            }
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    let mesh = pillar(100);
+    let count = mesh.vertices.len();
+    let rest = mesh.vertices.clone();
+    let asked = std::sync::atomic::AtomicUsize::new(0);
+    let clip = |frame_count| ComputedFrames {
+        frame_count,
+        compute: |frame: usize, out: &mut Vec<Vec3>| {
+            asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            out.extend(rest.iter().map(|p| p + Vec3::x() * frame as f64 * 1e-3));
+            Ok(())
+        },
+    };
+    let write = |frames: &dyn VertexFrames, out: &mut Meter| {
+        let colour = GlbColour::Uniform([9, 9, 9]);
+        let meshes = vec![GlbMesh { name: "g".into(), mesh: &mesh, colour, motion: GlbMotion::Vertices(frames) }];
+        let scene = GlbScene { fps: 30.0, interpolation: GlbInterpolation::Linear, meshes };
+        write_glb_to(Path::new("long.glb"), out, &scene)
+    };
+    let mut meter = Meter::default();
+    write(&clip(600), &mut meter).unwrap();
+    assert!(meter.total > 600 * (24 * count + 4 * 600), "{}", meter.total);
+    // Nothing but the description grows with the clip: a piece is a frame, a row of weights or a still array.
+    assert!(meter.largest <= 64 * count, "{} for {count} vertices", meter.largest);
+    assert!(meter.json < 600 * 1000, "{}", meter.json);
+    assert_eq!(asked.swap(0, std::sync::atomic::Ordering::Relaxed), 2 * 600);
+    let text = write(&clip(200_000_000), &mut Meter::default()).unwrap_err().to_string();
+    assert!(text.contains("the format holds at most"), "{text}");
+    assert_eq!(asked.load(std::sync::atomic::Ordering::Relaxed), 0);
 }

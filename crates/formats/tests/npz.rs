@@ -3,35 +3,11 @@
 mod support;
 
 use caphy_formats::npz::Npz;
-use npyz::WriterBuilder;
-use npyz::npz::NpzWriter;
-use std::io::{Cursor, Write};
 use std::path::Path;
-
-/// A stored (not compressed) archive of raw `.npy` texts, so that damage stays in the `.npy` layer.
-fn archive(entries: &[(&str, Vec<u8>)]) -> Vec<u8> {
-    let mut bytes = Cursor::new(Vec::new());
-    {
-        let mut writer = NpzWriter::new(&mut bytes);
-        for (name, content) in entries {
-            writer.zip_writer().start_file(format!("{name}.npy"), Default::default()).unwrap();
-            writer.zip_writer().write_all(content).unwrap();
-        }
-    }
-    bytes.into_inner()
-}
-
-fn npy(descr: &str, fortran: &str, shape: &str, data: &[u8]) -> Vec<u8> {
-    let header = format!("{{'descr': '{descr}', 'fortran_order': {fortran}, 'shape': {shape}, }}\n");
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
-    bytes.extend(data);
-    bytes
-}
+use support::npy;
 
 fn open(entries: &[(&str, Vec<u8>)]) -> Npz {
-    Npz::from_bytes(Path::new("body.npz"), archive(entries)).unwrap()
+    Npz::from_bytes(Path::new("body.npz"), support::archive(entries, false)).unwrap()
 }
 
 fn le<const N: usize, T>(values: &[T], f: impl Fn(&T) -> [u8; N]) -> Vec<u8> {
@@ -41,19 +17,19 @@ fn le<const N: usize, T>(values: &[T], f: impl Fn(&T) -> [u8; N]) -> Vec<u8> {
 #[test]
 fn every_number_width_is_read() {
     let npz = open(&[
-        ("f2", npy("<f2", "False", "(4,)", &le(&[0x3c00u16, 0xc000, 0x0001, 0x7c00], |v| v.to_le_bytes()))),
-        ("f4", npy("<f4", "False", "(2,)", &le(&[1.5f32, f32::NAN], |v| v.to_le_bytes()))),
-        ("f8be", npy(">f8", "False", "(2,)", &le(&[1.5f64, -2.0], |v| v.to_be_bytes()))),
-        ("i1", npy("|i1", "False", "(2,)", &[255, 7])),
-        ("i2", npy("<i2", "False", "(1,)", &(-300i16).to_le_bytes())),
-        ("i4be", npy(">i4", "False", "(1,)", &(-70000i32).to_be_bytes())),
-        ("i8", npy("<i8", "False", "(1,)", &(-1i64).to_le_bytes())),
-        ("u2", npy("<u2", "False", "(1,)", &65535u16.to_le_bytes())),
-        ("u4", npy("<u4", "False", "(2,)", &le(&[u32::MAX, 0], |v| v.to_le_bytes()))),
-        ("u8", npy("<u8", "False", "(1,)", &u64::MAX.to_le_bytes())),
-        ("b1", npy("|b1", "False", "(2,)", &[1, 0])),
-        ("scalar", npy("<f8", "False", "()", &59.99999f64.to_le_bytes())),
-        ("empty", npy("<f4", "False", "(0, 3)", &[])),
+        ("f2", npy("<f2", false, "(4,)", &le(&[0x3c00u16, 0xc000, 0x0001, 0x7c00], |v| v.to_le_bytes()))),
+        ("f4", npy("<f4", false, "(2,)", &le(&[1.5f32, f32::NAN], |v| v.to_le_bytes()))),
+        ("f8be", npy(">f8", false, "(2,)", &le(&[1.5f64, -2.0], |v| v.to_be_bytes()))),
+        ("i1", npy("|i1", false, "(2,)", &[255, 7])),
+        ("i2", npy("<i2", false, "(1,)", &(-300i16).to_le_bytes())),
+        ("i4be", npy(">i4", false, "(1,)", &(-70000i32).to_be_bytes())),
+        ("i8", npy("<i8", false, "(1,)", &(-1i64).to_le_bytes())),
+        ("u2", npy("<u2", false, "(1,)", &65535u16.to_le_bytes())),
+        ("u4", npy("<u4", false, "(2,)", &le(&[u32::MAX, 0], |v| v.to_le_bytes()))),
+        ("u8", npy("<u8", false, "(1,)", &u64::MAX.to_le_bytes())),
+        ("b1", npy("|b1", false, "(2,)", &[1, 0])),
+        ("scalar", npy("<f8", false, "()", &59.99999f64.to_le_bytes())),
+        ("empty", npy("<f4", false, "(0, 3)", &[])),
     ]);
     let f2 = npz.f64s("f2").unwrap().data;
     assert_eq!(f2, [1.0, -2.0, 2f64.powi(-24), f64::INFINITY]);
@@ -79,7 +55,7 @@ fn every_number_width_is_read() {
 fn fortran_order_comes_out_in_c_order() {
     // Column-major bytes of [[[0,1],[2,3],[4,5]],[[6,7],[8,9],[10,11]]].
     let stored = [0u8, 6, 2, 8, 4, 10, 1, 7, 3, 9, 5, 11];
-    let npz = open(&[("a", npy("|u1", "True", "(2, 3, 2)", &stored))]);
+    let npz = open(&[("a", npy("|u1", true, "(2, 3, 2)", &stored))]);
     let a = npz.i64s("a").unwrap();
     assert_eq!(a.shape, [2, 3, 2]);
     assert_eq!(a.data, (0..12).collect::<Vec<_>>());
@@ -94,10 +70,10 @@ fn texts_are_read() {
     };
     let both = [utf32("pelvis", 8), utf32("größe", 8)].concat();
     let npz = open(&[
-        ("u", npy("<U8", "False", "(2,)", &both)),
-        ("s", npy("|S3", "False", "(2,)", b"ab\0xyz")),
-        ("bad", npy("<U1", "False", "(1,)", &u32::MAX.to_le_bytes())),
-        ("none", npy("<U0", "False", "(2,)", &[])),
+        ("u", npy("<U8", false, "(2,)", &both)),
+        ("s", npy("|S3", false, "(2,)", b"ab\0xyz")),
+        ("bad", npy("<U1", false, "(1,)", &u32::MAX.to_le_bytes())),
+        ("none", npy("<U0", false, "(2,)", &[])),
     ]);
     assert_eq!(npz.strings("u").unwrap(), ["pelvis", "größe"]);
     assert_eq!(npz.strings("s").unwrap(), ["ab", "xyz"]);
@@ -108,7 +84,7 @@ fn texts_are_read() {
 
 #[test]
 fn a_missing_array_lists_those_that_exist() {
-    let npz = open(&[("poses", npy("|u1", "False", "(1,)", &[1])), ("trans", npy("|u1", "False", "(1,)", &[1]))]);
+    let npz = open(&[("poses", npy("|u1", false, "(1,)", &[1])), ("trans", npy("|u1", false, "(1,)", &[1]))]);
     assert_eq!(npz.names(), ["poses", "trans"]);
     assert!(npz.has("poses") && !npz.has("pose"));
     let text = npz.f64s("root_orient").unwrap_err().to_string();
@@ -138,7 +114,7 @@ fn headers_that_lie_are_refused_before_memory_is_taken() {
         ("<f", "(1,)"),
         ("", "(1,)"),
     ] {
-        let npz = open(&[("a", npy(descr, "False", shape, &[0; 16]))]);
+        let npz = open(&[("a", npy(descr, false, shape, &[0; 16]))]);
         let text = npz.f64s("a").unwrap_err().to_string();
         assert!(text.contains("array `a`"), "{text}");
     }
@@ -148,42 +124,6 @@ fn headers_that_lie_are_refused_before_memory_is_taken() {
     let npz = open(&[("long", long), ("wrong", wrong), ("nothing", nothing)]);
     for name in ["long", "wrong", "nothing"] {
         assert!(npz.f64s(name).is_err(), "{name}");
-    }
-}
-
-#[test]
-fn damage_anywhere_is_an_error_not_a_panic() {
-    let mut bytes = Cursor::new(Vec::new());
-    {
-        let mut writer = NpzWriter::new(&mut bytes);
-        let values: Vec<f32> = (0..300).map(|i| i as f32).collect();
-        writer
-            .array("a", Default::default())
-            .unwrap()
-            .default_dtype()
-            .shape(&[100, 3])
-            .begin_nd()
-            .unwrap()
-            .extend(values)
-            .unwrap();
-    }
-    let whole = bytes.into_inner();
-    assert_eq!(Npz::from_bytes(Path::new("a.npz"), whole.clone()).unwrap().f64s("a").unwrap().shape, [100, 3]);
-    for cut in 0..whole.len() {
-        let result = Npz::from_bytes(Path::new("a.npz"), whole[..cut].to_vec());
-        assert!(result.is_err() || result.unwrap().f64s("a").is_err(), "cut at {cut}");
-    }
-    // A flipped bit may hide in a place nobody reads; it must not panic.
-    for place in 0..whole.len() {
-        for bit in [0, 3, 7] {
-            let mut bad = whole.clone();
-            bad[place] ^= 1 << bit;
-            if let Ok(npz) = Npz::from_bytes(Path::new("a.npz"), bad) {
-                for name in npz.names() {
-                    let _ = (npz.f64s(name), npz.i64s(name), npz.strings(name));
-                }
-            }
-        }
     }
 }
 

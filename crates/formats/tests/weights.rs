@@ -1,4 +1,4 @@
-//! Safetensors: round trip, same bytes each time, damage.
+//! Safetensors: round trip, same bytes each time.
 
 use caphy_formats::weights::{read_safetensors, read_safetensors_metadata, write_safetensors};
 use std::collections::BTreeMap;
@@ -59,19 +59,4 @@ fn other_types_are_refused_and_doubles_rounded() {
     assert_eq!(read_safetensors(Path::new(FILE), &double).unwrap()[0].2, [0.5]);
     let text = read_safetensors(Path::new(FILE), &[header("I32", 4), vec![0; 4]].concat()).unwrap_err().to_string();
     assert!(text.contains(FILE) && text.contains("`w`") && text.contains("I32"), "{text}");
-}
-
-#[test]
-fn damage_anywhere_is_an_error_not_a_panic() {
-    let whole = example();
-    for cut in 0..whole.len() {
-        let text = read_safetensors(Path::new(FILE), &whole[..cut]).unwrap_err().to_string();
-        assert!(text.contains(FILE), "{text}");
-        for value in [0, b'9', b'{', 0xff] {
-            let mut bad = whole.clone();
-            bad[cut] = value;
-            let _ = read_safetensors(Path::new(FILE), &bad);
-            let _ = read_safetensors_metadata(Path::new(FILE), &bad);
-        }
-    }
 }

@@ -97,7 +97,7 @@ impl ContactMap {
                 for region in &self.regions {
                     let points: Vec<[T; 3]> = region.body.iter().map(|&b| skin[b as usize]).collect();
                     let queries: Vec<[T; 3]> = region.garment.iter().map(|&v| cloth[v as usize]).collect();
-                    let found = nearest_of_all(&NearestGrid::new(&points), &points, &queries).map_err(|e| match e {
+                    let found = nearest_of_all(&NearestGrid::new(&points), &queries).map_err(|e| match e {
                         // The search counts within its region, people count within the garment.
                         NoNearest::Query(i, at) => {
                             NoNearest::Query(region.garment[i] as usize, at).into_error(block, lane)

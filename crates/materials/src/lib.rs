@@ -3,7 +3,7 @@
 //! | type | model | membrane | bending |
 //! |---|---|---|---|
 //! | `stvk` | [`MaterialStvk`] | plain Saint Venant-Kirchhoff, two constants (Eq. 5) | one constant (Eq. 7) |
-//! | `neo_hookean` | [`MaterialNeoHookean`] | neo-Hookean, two constants, resists collapse | one constant |
+//! | `neo_hookean` | [`MaterialNeoHookean`] | neo-Hookean, two constants, stiffens when squeezed | one constant |
 //! | `measured` | [`MaterialMeasured`] | ten measured fabrics, four constants looked up by strain | looked up by fold direction and curvature |
 //!
 //! # Licence of the fabric data

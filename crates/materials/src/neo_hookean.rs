@@ -1,4 +1,4 @@
-//! Neo-Hookean sheet: a fabric that resists collapse, written as its energy alone.
+//! Neo-Hookean sheet: a fabric that stiffens as it is squeezed, written as its energy alone.
 
 use crate::bounds::bounded;
 use crate::lame::{LameKeys, check_bending, check_density, check_lame};
@@ -100,6 +100,12 @@ impl MaterialSpec for MaterialNeoHookeanSpec {
 /// At small strains it is [`MaterialStvk`](crate::MaterialStvk) of the same λ and μ. Where StVK goes soft under compression
 /// and gives way altogether, this one stiffens: use it for garments that are pushed together. Native parameters: `lambda`,
 /// `mu` [N/m], `bending` [N·m]; energy and stress are linear in them.
+///
+/// # Limits
+/// Below an area ratio of 0.1 ([`JOINT`]) the energy is continued so that it stays finite, and the last of the resistance is
+/// lost with it: squeezed evenly toward a point, the sheet pushes back down to an area ratio of 0.005 for λ ≥ 0, 0.05 for
+/// λ ≥ −0.3 μ, and only 0.21 for λ = −0.5 μ. Squeezed along one axis it pushes back all the way for λ ≥ −0.3 μ. Nothing here
+/// keeps a triangle from turning over: det C does not see which side is up.
 ///
 /// The source is this energy and nothing else: stress, tangents and sensitivities are derived from it
 /// ([`caphy_core::energy_material`]).

@@ -27,12 +27,24 @@ pub struct SmplxArrays {
     pub joints: Vec<Joint>,
 }
 
-/// How far a row of weights may be from 1 before the file counts as damaged; f32 files are off by about 1e-6.
+/// How far a row of weights may be from 1 before the file counts as damaged: single precision is off by about 1e-6, half
+/// precision by 5e-4.
 const WEIGHT_SUM_TOLERANCE: f64 = 1e-3;
 
 /// Whether a sum of weights is not 1; NaN counts.
-fn off_one(sum: f64) -> bool {
+pub(super) fn is_off_one(sum: f64) -> bool {
     sum.is_nan() || (sum - 1.0).abs() > WEIGHT_SUM_TOLERANCE
+}
+
+/// What is wrong with a joint tree, if anything: the first joint is the only root and parents come before their children, so
+/// that there is no cycle.
+pub(super) fn tree_problem(parents: &[Option<usize>]) -> Option<String> {
+    let wrong = |(j, parent): (usize, &Option<usize>)| (j == 0) != parent.is_none() || parent.is_some_and(|p| p >= j);
+    let j = parents.iter().enumerate().position(wrong)?;
+    Some(match parents[j] {
+        None => format!("joint {j} has no parent, which only joint 0 may"),
+        Some(p) => format!("joint {j} has parent {p}"),
+    })
 }
 
 impl SmplxArrays {
@@ -48,15 +60,10 @@ impl SmplxArrays {
                 "a body needs at least one of each",
             ));
         }
-        for (j, joint) in self.joints.iter().enumerate() {
-            if (j == 0) != joint.parent.is_none() || joint.parent.is_some_and(|p| p >= j) {
-                return Err(Error::mesh(
-                    name,
-                    format!("joint {j} `{}`", joint.name),
-                    format!("has parent {:?}", joint.parent),
-                    "the first joint is the only root and parents come before their children",
-                ));
-            }
+        let parents: Vec<Option<usize>> = self.joints.iter().map(|j| j.parent).collect();
+        if let Some(problem) = tree_problem(&parents) {
+            let remedy = "the first joint is the only root and parents come before their children";
+            return Err(Error::mesh(name, "joint tree", problem, remedy));
         }
         TriMesh::new(name, self.template.clone(), self.faces.clone())?;
         for (what, directions) in [("shape", &self.shape_directions), ("expression", &self.expression_directions)] {
@@ -76,7 +83,7 @@ impl SmplxArrays {
         Error::check_length(&format!("`{name}`, rows of the joint regressor"), joints, self.joint_regressor.len())?;
         for (j, row) in self.joint_regressor.iter().enumerate() {
             let sum: f64 = row.iter().map(|(_, w)| w).sum();
-            if row.iter().any(|&(v, _)| v as usize >= n) || off_one(sum) {
+            if row.iter().any(|&(v, _)| v as usize >= n) || is_off_one(sum) {
                 return Err(Error::mesh(
                     name,
                     format!("joint {j} `{}`", self.joints[j].name),
@@ -89,7 +96,7 @@ impl SmplxArrays {
         for v in 0..n {
             let sum: f64 = self.weights.row(v).map(|(_, w)| w).sum();
             let bad = self.weights.row(v).any(|(j, w)| j >= joints || w < -WEIGHT_SUM_TOLERANCE);
-            if bad || off_one(sum) {
+            if bad || is_off_one(sum) {
                 return Err(Error::mesh(
                     name,
                     format!("vertex {v}"),

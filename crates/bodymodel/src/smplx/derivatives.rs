@@ -38,7 +38,7 @@ impl BodySmplx {
                 }
             }
         }
-        let skeleton = self.skeleton(&coefficients, &parameters.rotations);
+        let skeleton = self.skeleton_of(&coefficients, &parameters.rotations);
 
         // x = Σ_j w_j (G_j (p - J_j) + t_j): per joint all vertices come down to two sums.
         let mut sums = vec![NO_SUMS; joint_count];
@@ -111,8 +111,8 @@ impl BodySmplx {
                 local[j] += Matrix3::from_row_slice(f);
             }
         }
-        let rotations = parameters
-            .rotations
+        let rotations = self
+            .acting(&parameters.rotations)
             .iter()
             .zip(&local)
             .map(|(r, g)| Vec3::from(rotation_derivatives(r).map(|d| d.dot(g))))
@@ -133,16 +133,8 @@ impl BodySmplx {
     pub(super) fn vertex_jacobian(&self, parameters: &BodyParameters, vertices: &[u32]) -> Result<DMatrix<f64>> {
         self.check(parameters)?;
         let coefficients = self.coefficients(&parameters.shape, &parameters.expression)?;
-        let n = self.template.len();
-        if let Some(v) = vertices.iter().find(|v| **v as usize >= n) {
-            return Err(Error::mesh(
-                self.description.name.clone(),
-                format!("vertex {v}"),
-                format!("does not exist, there are {n}"),
-                "ask for vertices of this body",
-            ));
-        }
-        let skeleton = self.skeleton(&coefficients, &parameters.rotations);
+        self.description.check_vertices(vertices)?;
+        let skeleton = self.skeleton_of(&coefficients, &parameters.rotations);
         let unposed = self.unposed(parameters, &coefficients, &skeleton);
         let rows = JacobianRows::new(self, parameters, &skeleton, &unposed);
         let columns = rows.columns();
@@ -168,7 +160,8 @@ struct JacobianRows<'a> {
 impl<'a> JacobianRows<'a> {
     fn new(body: &'a BodySmplx, parameters: &BodyParameters, skeleton: &'a Skeleton, unposed: &'a [Vec3]) -> Self {
         let joints = &body.description.joints;
-        let derivatives: Vec<[Matrix3<f64>; 3]> = parameters.rotations.iter().map(rotation_derivatives).collect();
+        let derivatives: Vec<[Matrix3<f64>; 3]> =
+            body.acting(&parameters.rotations).iter().map(rotation_derivatives).collect();
         let axes = (0..joints.len())
             .map(|j| {
                 derivatives[j].map(|d| {

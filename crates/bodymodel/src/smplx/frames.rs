@@ -1,37 +1,162 @@
-//! Many poses at once in f32: pose correctives as one matrix product per chunk of vertices, skinning in lanes.
+//! Many poses at once in f32: frames in lanes, pose correctives and skinning in one pass over the vertices.
 
-use super::pose_correctives::nonzero_range;
 use super::{BodySmplx, CHUNK};
 use caphy_core::body::BodyParameters;
 use caphy_core::lanes::Frames;
 use caphy_core::{Error, Real, Result, Vec3, simd_kernel};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Frames per register of f32.
 const L: usize = <f32 as Real>::LANES;
+/// Values of a 3×4 transform, row by row, in every lane.
+const TRANSFORM: usize = 12 * L;
 
-simd_kernel! {
-    /// Skins one chunk of vertices of one block in place. `points` and `transforms` are `[vertex][xyz][16]` and
-    /// `[joint][12][16]` (rows of a 3×4 matrix); `offsets` has one more entry than there are vertices.
-    fn skin<T>(points: &mut [T], offsets: &[u32], joints: &[u16], weights: &[T], transforms: &[T]) {
-        let transforms = transforms.as_chunks::<192>().0;
-        for (point, row) in points.as_chunks_mut::<48>().0.iter_mut().zip(offsets.windows(2)) {
-            let p = *point;
-            let mut sum = [T::zero(); 48];
-            let entries = row[0] as usize..row[1] as usize;
-            for (&joint, &w) in joints[entries.clone()].iter().zip(&weights[entries]) {
-                let t = &transforms[joint as usize];
-                // One loop over lanes per joint: this shape is what the compiler turns into whole registers.
-                for l in 0..16 {
-                    let (x, y, z) = (p[l], p[16 + l], p[32 + l]);
-                    sum[l] += w * (t[l] * x + t[16 + l] * y + t[32 + l] * z + t[48 + l]);
-                    sum[16 + l] += w * (t[64 + l] * x + t[80 + l] * y + t[96 + l] * z + t[112 + l]);
-                    sum[32 + l] += w * (t[128 + l] * x + t[144 + l] * y + t[160 + l] * z + t[176 + l]);
-                }
-            }
-            *point = sum;
+/// Blocks whose correctives are summed at once: three coordinates of so many blocks stay in registers, so that each
+/// direction is loaded once for all of them.
+fn blocks_at_once() -> usize {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if caphy_core::simd::has_avx512() {
+            return 5;
+        }
+        if caphy_core::simd::has_avx2() {
+            return 2;
         }
     }
+    1
+}
+
+/// What all vertices of a batch share.
+struct Batch<'a, T> {
+    /// Rows of 3×4 blend transforms, `[block][joint][12][16]`.
+    transforms: &'a [T],
+    joint_count: usize,
+    /// R - I, `[column][block][16]`; empty without correctives.
+    features: &'a [T],
+    /// Columns that are not zero in all frames.
+    columns: &'a [Range<usize>],
+    blocks_at_once: usize,
+}
+
+/// Some vertices.
+struct Chunk<'a, T> {
+    /// T(β) + dT [m] when all frames share it; else it stands in the output already.
+    surface: Option<&'a [[T; 3]]>,
+    ids: &'a [u32],
+    /// Correctives of all vertices of the body, `[vertex][xyz][width]`; empty without.
+    directions: &'a [T],
+    width: usize,
+    /// Skinning weights in compressed rows: one offset more than there are vertices.
+    offsets: &'a [u32],
+    joints: &'a [u16],
+    weights: &'a [T],
+}
+
+simd_kernel! {
+    /// Poses a chunk of vertices in all blocks; `pieces` is `[block][vertex][xyz][16]`.
+    fn pose_chunk<T>(batch: &Batch<'_, T>, chunk: &Chunk<'_, T>, pieces: &mut [&mut [T]]) {
+        for vertex in 0..chunk.ids.len() {
+            let mut first = 0;
+            for group in pieces.chunks_mut(batch.blocks_at_once) {
+                match group {
+                    [a, b, c, d, e] => pose_vertex(batch, chunk, vertex, first, [a, b, c, d, e]),
+                    [a, b, c, d] => pose_vertex(batch, chunk, vertex, first, [a, b, c, d]),
+                    [a, b, c] => pose_vertex(batch, chunk, vertex, first, [a, b, c]),
+                    [a, b] => pose_vertex(batch, chunk, vertex, first, [a, b]),
+                    group => {
+                        for (block, piece) in group.iter_mut().enumerate() {
+                            pose_vertex(batch, chunk, vertex, first + block, [piece]);
+                        }
+                    }
+                }
+                first += batch.blocks_at_once;
+            }
+        }
+    }
+}
+
+/// Poses one vertex in B blocks from block `first` on.
+#[inline(always)]
+fn pose_vertex<T: Real, const B: usize>(
+    batch: &Batch<'_, T>,
+    chunk: &Chunk<'_, T>,
+    vertex: usize,
+    first: usize,
+    pieces: [&mut &mut [T]; B],
+) {
+    let moved = correctives::<T, B>(batch, chunk, vertex, first);
+    let row = chunk.offsets[vertex] as usize..chunk.offsets[vertex + 1] as usize;
+    let (joints, weights) = (&chunk.joints[row.clone()], &chunk.weights[row]);
+    for (block, piece) in pieces.into_iter().enumerate() {
+        let Some(point) = piece.as_chunks_mut::<48>().0.get_mut(vertex) else { return };
+        let mut p = moved[block];
+        match chunk.surface {
+            Some(surface) => {
+                let s = surface[vertex];
+                for l in 0..16 {
+                    p[l] += s[0];
+                    p[16 + l] += s[1];
+                    p[32 + l] += s[2];
+                }
+            }
+            None => {
+                for l in 0..48 {
+                    p[l] += point[l];
+                }
+            }
+        }
+        let from = (first + block) * batch.joint_count * TRANSFORM;
+        let transforms = batch.transforms[from..from + batch.joint_count * TRANSFORM].as_chunks::<TRANSFORM>().0;
+        let mut sum = [T::zero(); 48];
+        for (&joint, &w) in joints.iter().zip(weights) {
+            let t = &transforms[joint as usize];
+            // One loop over lanes per joint: this shape is what the compiler turns into whole registers.
+            for l in 0..16 {
+                let (x, y, z) = (p[l], p[16 + l], p[32 + l]);
+                sum[l] += w * (t[l] * x + t[16 + l] * y + t[32 + l] * z + t[48 + l]);
+                sum[16 + l] += w * (t[64 + l] * x + t[80 + l] * y + t[96 + l] * z + t[112 + l]);
+                sum[32 + l] += w * (t[128 + l] * x + t[144 + l] * y + t[160 + l] * z + t[176 + l]);
+            }
+        }
+        *point = sum;
+    }
+}
+
+/// P (R - I) of one vertex in B blocks from block `first` on, `[block][xyz][16]`.
+#[inline(always)]
+fn correctives<T: Real, const B: usize>(
+    batch: &Batch<'_, T>,
+    chunk: &Chunk<'_, T>,
+    vertex: usize,
+    first: usize,
+) -> [[T; 48]; B] {
+    let mut sums = [[T::zero(); 48]; B];
+    if batch.columns.is_empty() {
+        return sums;
+    }
+    let width = chunk.width;
+    let rows = &chunk.directions[3 * width * chunk.ids[vertex] as usize..][..3 * width];
+    let (x, yz) = rows.split_at(width);
+    let (y, z) = yz.split_at(width);
+    let stride = batch.features.len() / width;
+    for columns in batch.columns {
+        let features = &batch.features[stride * columns.start..stride * columns.end];
+        let directions = x[columns.clone()].iter().zip(&y[columns.clone()]).zip(&z[columns.clone()]);
+        for (((x, y), z), features) in directions.zip(features.chunks_exact(stride)) {
+            let features = &features[16 * first..16 * (first + B)];
+            for block in 0..B {
+                let sum = &mut sums[block];
+                for l in 0..16 {
+                    let f = features[16 * block + l];
+                    sum[l] += *x * f;
+                    sum[16 + l] += *y * f;
+                    sum[32 + l] += *z * f;
+                }
+            }
+        }
+    }
+    sums
 }
 
 /// Skinning weights of the vertices asked for.
@@ -41,13 +166,17 @@ struct SubsetWeights {
     weights: Vec<f32>,
 }
 
-/// Whether two sets of parameters differ in the pose alone.
-fn same_body(a: &BodyParameters, b: &BodyParameters) -> bool {
-    a.shape == b.shape && a.expression == b.expression && a.displacement == b.displacement
+/// Whether two sets of parameters differ in the pose alone, as far as some vertices are concerned.
+fn same_body(a: &BodyParameters, b: &BodyParameters, ids: &[u32]) -> bool {
+    let dt = |p: &BodyParameters, id: u32| p.displacement.get(id as usize).copied();
+    a.shape == b.shape
+        && a.expression == b.expression
+        && a.displacement.len() == b.displacement.len()
+        && (a.displacement.is_empty() || ids.iter().all(|&id| dt(a, id) == dt(b, id)))
 }
 
 impl BodySmplx {
-    /// See `BodyModel::forward_frames`.
+    /// See `BodyModel::forward_frames`. Displacements of vertices that are not asked for are not looked at.
     pub(super) fn pose_frames(
         &self,
         frames: &[BodyParameters],
@@ -64,60 +193,59 @@ impl BodySmplx {
             }
         };
         Error::check_length("vertices of a frame", out.vertices(), ids.len())?;
-        if let Some(id) = ids.iter().find(|id| **id as usize >= self.template.len()) {
-            return Err(Error::mesh(
-                self.description.name.clone(),
-                format!("vertex {id}"),
-                format!("does not exist, there are {}", self.template.len()),
-                "ask for vertices of this body",
-            ));
-        }
+        self.description.check_vertices(ids)?;
         let (blocks, lanes, joint_count) = (out.blocks(), out.lanes_used(), self.joint_template.len());
-        if ids.is_empty() || blocks == 0 {
-            return Ok(());
-        }
 
         // Joints per frame in f64: cheap, and rounded once.
         let width = self.correctives.as_ref().map_or(0, |c| c.width());
-        let mut transforms = vec![0.0f32; blocks * joint_count * 192];
-        let mut features = vec![0.0f64; width * blocks * L];
+        let mut transforms = vec![0.0f32; blocks * joint_count * TRANSFORM];
+        let mut features = vec![0.0f32; width * blocks * L];
+        let mut busy = vec![false; width / 9];
+        let mut one_body = true;
         for (i, parameters) in frames.iter().enumerate() {
-            self.check(parameters)?;
+            self.check_pose(parameters)?;
+            let same = i > 0 && same_body(&frames[i - 1], parameters, ids);
+            if !same {
+                self.check_displacement(parameters, ids.iter().map(|id| *id as usize))?;
+                one_body = i == 0;
+            }
             let coefficients = self.coefficients(&parameters.shape, &parameters.expression)?;
-            let skeleton = self.skeleton(&coefficients, &parameters.rotations);
+            let skeleton = self.skeleton_of(&coefficients, &parameters.rotations);
             let (block, lane) = (i / lanes, i % lanes);
             // Spare lanes repeat the last frame of their block.
             let last = if lane + 1 == lanes { L } else { lane + 1 };
             for (j, m) in skeleton.transforms(&parameters.translation).iter().enumerate() {
                 for (entry, value) in m.transpose().iter().enumerate() {
-                    let at = ((block * joint_count + j) * 12 + entry) * L;
+                    let at = (block * joint_count + j) * TRANSFORM + entry * L;
                     transforms[at + lane..at + last].fill(*value as f32);
                 }
             }
             if let Some(correctives) = &self.correctives {
                 for (k, f) in correctives.features(&skeleton.local).iter().enumerate() {
-                    let at = k * blocks * L + block * L;
-                    features[at + lane..at + last].fill(*f);
+                    busy[k / 9] |= *f != 0.0;
+                    let at = (k * blocks + block) * L;
+                    features[at + lane..at + last].fill(*f as f32);
                 }
             }
         }
-        // The usual batch is one body in many poses: its surface is spread over the lanes once.
-        let one_body = frames.windows(2).all(|pair| same_body(&pair[0], &pair[1]));
-        let shared = match frames.first() {
-            Some(first) if one_body => self.unposed_points(first, ids)?,
-            _ => {
-                self.place_unposed(frames, ids, out)?;
-                Vec::new()
-            }
+        if ids.is_empty() || frames.is_empty() {
+            return Ok(());
+        }
+        // The usual batch is one body in many poses: its surface is shared by all lanes.
+        let shared = if one_body {
+            self.unposed_points(&frames[0], ids)?.iter().map(|p| [0, 1, 2].map(|k| p[k] as f32)).collect()
+        } else {
+            self.place_unposed(frames, ids, out)?;
+            Vec::new()
         };
-
-        let range = {
-            let busy: Vec<f64> =
-                features.chunks_exact(blocks * L).map(|row| row.iter().map(|f| f.abs()).sum()).collect();
-            nonzero_range(&busy)
-        };
-        let features: Vec<f32> = features.iter().map(|f| *f as f32).collect();
         let weights = self.subset_weights(ids);
+        let batch = Batch {
+            transforms: &transforms,
+            joint_count,
+            features: &features,
+            columns: &busy_columns(&busy),
+            blocks_at_once: blocks_at_once(),
+        };
 
         // All blocks of a chunk of vertices travel together, so that its correctives are read once.
         let block_len = out.block_len();
@@ -128,25 +256,17 @@ impl BodySmplx {
             }
         }
         pieces.into_par_iter().enumerate().for_each(|(chunk, mut pieces)| {
-            let from = chunk * CHUNK;
-            let ids = &ids[from..(from + CHUNK).min(ids.len())];
-            if one_body {
-                for piece in &mut pieces {
-                    for (lanes, p) in piece.chunks_exact_mut(3 * L).zip(&shared[from..]) {
-                        for axis in 0..3 {
-                            lanes[axis * L..(axis + 1) * L].fill(p[axis] as f32);
-                        }
-                    }
-                }
-            }
-            if let (Some(_), Some(range)) = (&self.correctives, range) {
-                self.add_correctives(ids, &features, range, &mut pieces);
-            }
-            let offsets = &weights.offsets[from..=from + ids.len()];
-            for (block, piece) in pieces.iter_mut().enumerate() {
-                let transforms = &transforms[block * joint_count * 192..(block + 1) * joint_count * 192];
-                skin(piece, offsets, &weights.joints, &weights.weights, transforms);
-            }
+            let range = chunk * CHUNK..((chunk + 1) * CHUNK).min(ids.len());
+            let chunk = Chunk {
+                surface: one_body.then(|| &shared[range.clone()]),
+                ids: &ids[range.clone()],
+                directions: self.correctives.as_ref().map_or(&[], |c| c.data()),
+                width,
+                offsets: &weights.offsets[range.start..=range.end],
+                joints: &weights.joints,
+                weights: &weights.weights,
+            };
+            pose_chunk(&batch, &chunk, &mut pieces);
         });
         Ok(())
     }
@@ -185,51 +305,16 @@ impl BodySmplx {
         }
         out
     }
+}
 
-    /// Adds P (R - I) to one chunk of vertices in all blocks; `features` is `[column][block][16]`.
-    fn add_correctives(&self, ids: &[u32], features: &[f32], range: (usize, usize), pieces: &mut [&mut [f32]]) {
-        let Some(correctives) = &self.correctives else { return };
-        let (rows, depth, columns) = (3 * ids.len(), range.1 - range.0, pieces.len() * L);
-        let mut directions = Vec::with_capacity(rows * depth);
-        for &id in ids {
-            for row in correctives.rows(id as usize).chunks_exact(correctives.width()) {
-                directions.extend_from_slice(&row[range.0..range.1]);
-            }
-        }
-        let features = &features[range.0 * columns..range.1 * columns];
-        let mut product = vec![0.0f32; rows * columns];
-        assert!(directions.len() == rows * depth && features.len() == depth * columns);
-        // SAFETY: the three matrices are row-major with the row lengths given, and their sizes were checked just above;
-        // `product` is not aliased.
-        unsafe {
-            gemm::gemm(
-                rows,
-                columns,
-                depth,
-                product.as_mut_ptr(),
-                1,
-                columns as isize,
-                false,
-                directions.as_ptr(),
-                1,
-                depth as isize,
-                features.as_ptr(),
-                1,
-                columns as isize,
-                0.0,
-                1.0,
-                false,
-                false,
-                false,
-                gemm::Parallelism::None,
-            );
-        }
-        for (block, piece) in pieces.iter_mut().enumerate() {
-            for (out, row) in piece.chunks_exact_mut(L).zip(product.chunks_exact(columns)) {
-                for (o, p) in out.iter_mut().zip(&row[block * L..(block + 1) * L]) {
-                    *o += p;
-                }
-            }
+/// Runs of columns of joints that turn in some frame; nine columns per joint.
+fn busy_columns(busy: &[bool]) -> Vec<Range<usize>> {
+    let mut out: Vec<Range<usize>> = Vec::new();
+    for group in (0..busy.len()).filter(|&g| busy[g]) {
+        match out.last_mut() {
+            Some(run) if run.end == 9 * group => run.end += 9,
+            _ => out.push(9 * group..9 * group + 9),
         }
     }
+    out
 }

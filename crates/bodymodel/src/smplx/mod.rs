@@ -3,16 +3,23 @@
 mod arrays;
 mod derivatives;
 mod frames;
+mod hands;
+mod joint_names;
+mod landmarks;
 mod load;
 mod pose_correctives;
 mod rotation;
 mod spec;
 
 pub use arrays::SmplxArrays;
+pub use hands::{HandComponents, HandMean, HandPose};
+pub use landmarks::{FaceContour, PICKED_VERTICES, SmplxLandmarks};
 pub use load::{SmplxOptions, load};
 pub use spec::SmplxSpec;
 
-use caphy_core::body::{BodyDescription, BodyGradient, BodyModel, BodyParameters, PosedBody};
+use caphy_core::body::{
+    BodyDescription, BodyGradient, BodyModel, BodyParameters, PosedBody, PosedSkeleton, SurfacePoint,
+};
 use caphy_core::lanes::Frames;
 use caphy_core::{Error, Result, Vec3};
 use nalgebra::{DMatrix, Matrix3, Matrix3x4};
@@ -25,7 +32,10 @@ const CHUNK: usize = 512;
 /// A body in the SMPL-X layout: T(β,θ,dT) = W(T(β)+dT, J(β), θ, w) (Eq. 1).
 ///
 /// T(β) = template + shape + expression directions; joints are regressed from T(β) without dT; pose correctives and dT
-/// are added before skinning. Zero rotations mean flat hands: the mean hand pose of some files is not added.
+/// are added before skinning. Zero rotations mean flat hands, unless [`BodySmplx::with_hands`] adds the mean hand pose.
+///
+/// Joints and then landmarks are in the order in which the official package returns them together: 55 joints, 21 picked
+/// vertices, 51 points of the face, 17 of its contour.
 #[derive(Debug, Clone)]
 pub struct BodySmplx {
     description: BodyDescription,
@@ -37,6 +47,10 @@ pub struct BodySmplx {
     /// Joint displacement per coefficient [m], shape [shape_count + expression_count][joint_count].
     joint_directions: Vec<Vec<Vec3>>,
     correctives: Option<PoseCorrectives>,
+    /// Added to all rotations [rad], shape [joint_count]; empty means nothing.
+    relaxed: Vec<Vec3>,
+    hands: Option<Box<[HandComponents; 2]>>,
+    landmarks: Option<Box<landmarks::Placed>>,
 }
 
 /// What posing leaves behind for derivatives: local rotations, world rotations and joint positions before translation.
@@ -76,7 +90,17 @@ impl BodySmplx {
             expression_count,
             weights: arrays.weights,
         };
-        Ok(Self { description, template: arrays.template, directions, joint_template, joint_directions, correctives })
+        Ok(Self {
+            description,
+            template: arrays.template,
+            directions,
+            joint_template,
+            joint_directions,
+            correctives,
+            relaxed: Vec::new(),
+            hands: None,
+            landmarks: None,
+        })
     }
 
     /// Whether the model has pose correctives that are not all zero.
@@ -118,37 +142,61 @@ impl BodySmplx {
         out
     }
 
-    /// Checks everything in the parameters but the coefficients.
-    fn check(&self, parameters: &BodyParameters) -> Result<()> {
+    /// Checks rotations, shape [joint_count].
+    fn check_rotations(&self, rotations: &[Vec3]) -> Result<()> {
         let name = &self.description.name;
-        let what = |what: &str| format!("{what} of `{name}`");
-        Error::check_length(&what("rotations"), self.description.joints.len(), parameters.rotations.len())?;
-        for (joint, r) in self.description.joints.iter().zip(&parameters.rotations) {
+        Error::check_length(&format!("rotations of `{name}`"), self.description.joints.len(), rotations.len())?;
+        for (joint, r) in self.description.joints.iter().zip(rotations) {
             if !r.iter().all(|c| c.is_finite()) {
-                Error::check_finite(&what(&format!("rotation of `{}`", joint.name)), r.as_slice())?;
-            }
-        }
-        Error::check_finite(&what("translation"), parameters.translation.as_slice())?;
-        if !parameters.displacement.is_empty() {
-            Error::check_length(&what("displacements"), self.template.len(), parameters.displacement.len())?;
-            for d in &parameters.displacement {
-                if !d.iter().all(|c| c.is_finite()) {
-                    Error::check_finite(&what("a displacement"), d.as_slice())?;
-                }
+                Error::check_finite(&format!("rotation of `{}` of `{name}`", joint.name), r.as_slice())?;
             }
         }
         Ok(())
     }
 
+    /// Checks everything in the parameters but the coefficients.
+    fn check(&self, parameters: &BodyParameters) -> Result<()> {
+        self.check_pose(parameters)?;
+        self.check_displacement(parameters, 0..self.template.len())
+    }
+
+    fn check_pose(&self, parameters: &BodyParameters) -> Result<()> {
+        self.check_rotations(&parameters.rotations)?;
+        let what = format!("translation of `{}`", self.description.name);
+        Error::check_finite(&what, parameters.translation.as_slice())
+    }
+
+    /// Checks the number of displacements, and the values of those of some vertices.
+    fn check_displacement(&self, parameters: &BodyParameters, ids: impl Iterator<Item = usize>) -> Result<()> {
+        if parameters.displacement.is_empty() {
+            return Ok(());
+        }
+        let name = &self.description.name;
+        Error::check_length(&format!("displacements of `{name}`"), self.template.len(), parameters.displacement.len())?;
+        for v in ids {
+            let d = &parameters.displacement[v];
+            if !d.iter().all(|c| c.is_finite()) {
+                Error::check_finite(&format!("displacement of vertex {v} of `{name}`"), d.as_slice())?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Rotations as they act: with what the body adds itself.
+    fn acting(&self, rotations: &[Vec3]) -> Vec<Vec3> {
+        let added = self.relaxed.iter().copied().chain(std::iter::repeat(Vec3::zeros()));
+        rotations.iter().zip(added).map(|(r, a)| r + a).collect()
+    }
+
     /// Joints down the tree: G_j = G_parent [R_j | J_j - J_parent]; the root turns about its own joint.
-    fn skeleton(&self, coefficients: &[(usize, f64)], rotations: &[Vec3]) -> Skeleton {
+    fn skeleton_of(&self, coefficients: &[(usize, f64)], rotations: &[Vec3]) -> Skeleton {
         let mut rest = self.joint_template.clone();
         for &(k, c) in coefficients {
             for (j, d) in rest.iter_mut().zip(&self.joint_directions[k]) {
                 *j += d * c;
             }
         }
-        let local: Vec<_> = rotations.iter().map(rotation::rotation).collect();
+        let local: Vec<_> = self.acting(rotations).iter().map(rotation::rotation).collect();
         let mut world = Vec::with_capacity(local.len());
         let mut posed: Vec<Vec3> = Vec::with_capacity(local.len());
         for (j, joint) in self.description.joints.iter().enumerate() {
@@ -202,7 +250,7 @@ impl BodyModel for BodySmplx {
     fn forward(&self, parameters: &BodyParameters) -> Result<PosedBody> {
         self.check(parameters)?;
         let coefficients = self.coefficients(&parameters.shape, &parameters.expression)?;
-        let skeleton = self.skeleton(&coefficients, &parameters.rotations);
+        let skeleton = self.skeleton_of(&coefficients, &parameters.rotations);
         let mut vertices = self.unposed(parameters, &coefficients, &skeleton);
         let transforms = skeleton.transforms(&parameters.translation);
         let weights = &self.description.weights;
@@ -226,6 +274,29 @@ impl BodyModel for BodySmplx {
 
     fn jacobian(&self, parameters: &BodyParameters, vertices: &[u32]) -> Result<DMatrix<f64>> {
         self.vertex_jacobian(parameters, vertices)
+    }
+
+    fn rest(&self, shape: &[f64]) -> BodyParameters {
+        let mut parameters = BodyParameters::rest(self.joint_template.len(), shape);
+        parameters.rotations.iter_mut().zip(&self.relaxed).for_each(|(r, relaxed)| *r = -relaxed);
+        parameters
+    }
+
+    fn skeleton(&self, parameters: &BodyParameters) -> Result<PosedSkeleton> {
+        self.check(parameters)?;
+        let coefficients = self.coefficients(&parameters.shape, &parameters.expression)?;
+        let skeleton = self.skeleton_of(&coefficients, &parameters.rotations);
+        let joints = skeleton.posed.iter().map(|j| j + parameters.translation).collect();
+        Ok(PosedSkeleton { joints, transforms: skeleton.transforms(&parameters.translation) })
+    }
+
+    fn landmark_names(&self) -> &[String] {
+        self.landmarks.as_ref().map_or(&[], |l| &l.names)
+    }
+
+    fn landmarks(&self, rotations: &[Vec3]) -> Result<Vec<SurfacePoint>> {
+        self.check_rotations(rotations)?;
+        Ok(self.landmarks.as_ref().map_or_else(Vec::new, |l| l.points(&self.acting(rotations))))
     }
 
     fn forward_frames(&self, frames: &[BodyParameters], subset: Option<&[u32]>, out: &mut Frames<f32>) -> Result<()> {

@@ -44,6 +44,10 @@ impl PoseCorrectives {
     pub(super) fn joints(&self) -> &[usize] {
         &self.joints
     }
+    /// All directions [m], shape [vertex_count][xyz][width], flat.
+    pub(super) fn data(&self) -> &[f32] {
+        &self.data
+    }
     /// The three rows of a vertex, shape [xyz][width].
     pub(super) fn rows(&self, vertex: usize) -> &[f32] {
         &self.data[3 * vertex * self.width()..3 * (vertex + 1) * self.width()]
@@ -106,7 +110,7 @@ impl PoseCorrectives {
 }
 
 /// The smallest range of whole joints that holds all features other than zero.
-pub(super) fn nonzero_range(features: &[f64]) -> Option<(usize, usize)> {
+fn nonzero_range(features: &[f64]) -> Option<(usize, usize)> {
     let first = features.iter().position(|f| *f != 0.0)?;
     let last = features.iter().rposition(|f| *f != 0.0)?;
     Some((first / 9 * 9, last / 9 * 9 + 9))

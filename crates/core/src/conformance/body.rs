@@ -65,7 +65,7 @@ fn posed(body: &dyn BodyModel) -> BodyParameters {
 }
 
 fn at_rest(body: &dyn BodyModel) -> BodyParameters {
-    BodyParameters::rest(body.describe().joints.len(), &posed(body).shape)
+    body.rest(&posed(body).shape)
 }
 
 fn forward(body: &dyn BodyModel, parameters: &BodyParameters) -> std::result::Result<PosedBody, String> {
@@ -360,6 +360,51 @@ pub fn frames_agree_with_poses(body: &dyn BodyModel) -> Outcome {
         }
     }
     Ok(Verdict::Passed)
+}
+
+/// [`CHECKS`]: [`BodyModel::skeleton`], at rest and in a pose.
+pub fn skeleton_agrees_with_poses(body: &dyn BodyModel) -> Outcome {
+    for parameters in [at_rest(body), posed(body)] {
+        let (whole, alone) =
+            (forward(body, &parameters)?, body.skeleton(&parameters).map_err(unexpected("a skeleton"))?);
+        let counts = (alone.joints.len(), alone.transforms.len());
+        ensure(counts == (whole.joints.len(), whole.transforms.len()), || format!("{counts:?} joints, transforms"))?;
+        let off = apart(&alone.joints, &whole.joints);
+        ensure(off < ROUNDING, || format!("joints are up to {off} m away"))?;
+        for (j, (a, b)) in alone.transforms.iter().zip(&whole.transforms).enumerate() {
+            ensure((a - b).norm() < ROUNDING, || format!("joint {j} is transformed by {a:?} instead of {b:?}"))?;
+        }
+    }
+    Ok(Verdict::Passed)
+}
+
+/// [`CHECKS`]: [`BodyModel::landmark_names`] and [`BodyModel::landmarks`]; not offered by bodies without landmarks.
+pub fn landmarks_ride_on_the_surface(body: &dyn BodyModel) -> Outcome {
+    let (d, names) = (body.describe(), body.landmark_names());
+    let mut sorted: Vec<&str> = names.iter().map(String::as_str).collect();
+    sorted.sort_unstable();
+    ensure(sorted.windows(2).all(|w| w[0] != w[1]) && !sorted.contains(&""), || {
+        "landmarks without a name, or two of one name".into()
+    })?;
+    if let Some(name) = names.iter().find(|name| d.joint(name).is_some()) {
+        return Err(format!("the landmark `{name}` is called like a joint"));
+    }
+    for parameters in [at_rest(body), posed(body)] {
+        let points = body.landmarks(&parameters.rotations).map_err(unexpected("placing landmarks"))?;
+        ensure(points.len() == names.len(), || format!("{} points of {} names", points.len(), names.len()))?;
+        for (name, point) in names.iter().zip(&points) {
+            let exist = point.vertices.iter().all(|v| (*v as usize) < d.vertex_count);
+            let sum: f64 = point.weights.iter().sum();
+            // Published weights are single precision.
+            ensure(exist && (sum - 1.0).abs() < 1e-5, || {
+                format!("`{name}` is {point:?} of {} vertices", d.vertex_count)
+            })?;
+        }
+    }
+    let few = vec![Vec3::zeros(); d.joints.len() - 1];
+    let refused = matches!(body.landmarks(&few), Err(Error::Length { .. }));
+    ensure(refused, || "one rotation too few is no Length error".into())?;
+    Ok(if names.is_empty() { Verdict::NotOffered } else { Verdict::Passed })
 }
 
 /// [`CHECKS`]: every joint at π, forward and backward.

@@ -162,6 +162,8 @@ macro_rules! conformance_list {
             gradients_agree_with_differences(model) "vector-Jacobian products agree with differences, at zero rotation too";
             the_jacobian_is_made_of_products(model) "rows of the Jacobian are vector-Jacobian products";
             frames_agree_with_poses(model) "batches in lanes agree with single poses";
+            skeleton_agrees_with_poses(model) "joints and transforms without the surface are those of the pose";
+            landmarks_ride_on_the_surface(model) "landmarks are named means of existing vertices, in every pose";
             extremes_are_finite(model) "every joint at π has a finite answer";
             threads_change_nothing(model) "equal poses give equal bits on any thread";
         }

@@ -29,7 +29,9 @@ impl<M: EnergyMaterial> FromEnergy<M> {
         block.check(theta.len())?;
         OFFERS.check_membrane(block, &self.0.facts().name)?;
         let plain: Vec<T> = theta.iter().map(|p| T::of(p.value)).collect();
-        membrane_values::<T, M>(&self.0, &plain, block);
+        if block.energy.wanted() || block.stress.wanted() {
+            membrane_values::<T, M>(&self.0, &plain, block);
+        }
         if block.tangent_held.wanted() || block.tangent_total.wanted() {
             let fixed: Vec<Dual<T, 3>> = plain.iter().map(|p| Dual::fixed(*p)).collect();
             membrane_tangent::<T, M>(&self.0, &fixed, block);

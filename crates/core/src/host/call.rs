@@ -1,6 +1,6 @@
 //! One call across the border: status and text to a typed error.
 
-use crate::plugin::abi::{CONFIG, OK, PANICKED, Sink, UNSUPPORTED};
+use crate::plugin::abi::{CONFIG, LENGTH, NON_FINITE, OK, PANICKED, PARAMETER, Sink, UNSUPPORTED};
 use crate::{Error, PluginProblem, Result};
 use std::path::Path;
 
@@ -33,6 +33,10 @@ impl Callee {
                 let problem = lines.next().unwrap_or("cannot be used").to_string();
                 Error::config(key, problem, lines.next().unwrap_or("correct it"))
             }
+            LENGTH | NON_FINITE | PARAMETER => match numeric(status, &message) {
+                Some(error) => error,
+                None => self.malformed(&call, format!("status {status} with the text `{message}`")),
+            },
             PANICKED => self.problem(PluginProblem::Panic { type_name, call, message }),
             _ if message.is_empty() => self.problem(PluginProblem::Failed {
                 type_name,
@@ -74,5 +78,28 @@ impl Callee {
 
     fn problem(&self, problem: PluginProblem) -> Error {
         Error::plugin(&self.library, problem)
+    }
+}
+
+/// The error of a status whose text holds numbers; `None` when the text is not as the interface says.
+fn numeric(status: i32, text: &str) -> Option<Error> {
+    let lines: Vec<&str> = text.split('\n').collect();
+    let (&first, rest) = lines.split_first()?;
+    let number = |line: &str| line.parse::<f64>().ok();
+    match (status, rest) {
+        (LENGTH, [expected, got]) => {
+            Some(Error::Length { what: first.into(), expected: expected.parse().ok()?, got: got.parse().ok()? })
+        }
+        (NON_FINITE, [index, value]) => {
+            Some(Error::NonFinite { what: first.into(), index: index.parse().ok()?, value: number(value)? })
+        }
+        (PARAMETER, [value, lower, upper, unit]) => Some(Error::Parameter {
+            name: first.into(),
+            value: number(value)?,
+            lower: number(lower)?,
+            upper: number(upper)?,
+            unit: (*unit).into(),
+        }),
+        _ => None,
     }
 }

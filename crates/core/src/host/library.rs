@@ -68,8 +68,7 @@ impl Library {
             return Err(Error::io(path, "read", source));
         }
         let absolute = std::path::absolute(path).map_err(|e| Error::io(path, "find", e))?;
-        // SAFETY: loading runs the library's initialisers; whoever names a library in a configuration trusts its code.
-        let library = unsafe { libloading::Library::new(&absolute) }.map_err(|e| {
+        let library = open(&absolute).map_err(|e| {
             // The loader's own words are the error's source.
             let reason = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
             Error::plugin(path, PluginProblem::NotALibrary { reason })
@@ -247,6 +246,21 @@ impl Library {
             .text("normalise", |out, error| unsafe { normalise(Text::borrowed(toml), out, error) })?;
         Ok(Some(text))
     }
+}
+
+/// Opens a library with all of its symbols resolved: bound at their first call, a missing one would end the program there.
+#[cfg(unix)]
+fn open(path: &Path) -> std::result::Result<libloading::Library, libloading::Error> {
+    use libloading::os::unix::{Library, RTLD_LOCAL, RTLD_NOW};
+    // SAFETY: loading runs the library's initialisers; whoever names a library in a configuration trusts its code.
+    unsafe { Library::open(Some(path), RTLD_NOW | RTLD_LOCAL) }.map(Into::into)
+}
+
+/// Opens a library; this system's loader resolves its symbols at once.
+#[cfg(not(unix))]
+fn open(path: &Path) -> std::result::Result<libloading::Library, libloading::Error> {
+    // SAFETY: loading runs the library's initialisers; whoever names a library in a configuration trusts its code.
+    unsafe { libloading::Library::new(path) }
 }
 
 /// Within one version, structs have one size: another one means another compiler's layout or a damaged library.

@@ -5,7 +5,7 @@ use crate::net::{BackwardBlock, ForwardBlock};
 use std::ffi::c_void;
 
 /// Version of this interface; raised with every change of a struct, a code or a meaning.
-pub const ABI_VERSION: u32 = 1;
+pub const ABI_VERSION: u32 = 2;
 /// Symbol of `uint32_t caphy_plugin_abi_version(void)`.
 pub const VERSION_SYMBOL: &str = "caphy_plugin_abi_version";
 /// Symbol of `const caphy_plugin_table *caphy_plugin(void)`.
@@ -21,6 +21,12 @@ pub const CONFIG: i32 = 2;
 pub const FAILED: i32 = 3;
 /// The plugin panicked; the text is the panic's message.
 pub const PANICKED: i32 = 4;
+/// An array has the wrong length; the text has three lines: its name, the length expected, the length given.
+pub const LENGTH: i32 = 5;
+/// A value is NaN or infinite; the text has three lines: the array's name, the flat index, the value.
+pub const NON_FINITE: i32 = 6;
+/// A parameter is out of bounds; the text has five lines: its name, the value, both bounds, the unit.
+pub const PARAMETER: i32 = 7;
 
 /// [`PluginEntry::kind`] of a material.
 pub const KIND_MATERIAL: u32 = 0;

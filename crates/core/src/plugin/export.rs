@@ -1,8 +1,8 @@
 //! The plugin's side of the border: ordinary trait objects behind C functions.
 
 use super::abi::{
-    CONFIG, FAILED, MAX_RANK, MaterialFacts, MaterialTable, NetFacts, NetTable, OK, PANICKED, ParameterFacts, Sink,
-    TensorFacts, Text, UNSUPPORTED,
+    CONFIG, FAILED, LENGTH, MAX_RANK, MaterialFacts, MaterialTable, NON_FINITE, NetFacts, NetTable, OK, PANICKED,
+    PARAMETER, ParameterFacts, Sink, TensorFacts, Text, UNSUPPORTED,
 };
 use crate::material::{HingeBlock, HingeLength, MaterialModel, MaterialReal, MaterialSpec, MembraneBlock};
 use crate::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock, ForwardCall, NetSpec};
@@ -106,9 +106,11 @@ unsafe fn guarded(error: Sink, run: impl FnOnce() -> Result<()>) -> i32 {
     let (status, text) = match catch_unwind(AssertUnwindSafe(run)) {
         Ok(Ok(())) => return OK,
         Ok(Err(Error::Unsupported { what, .. })) => (UNSUPPORTED, what),
-        Ok(Err(Error::Config { key, problem, remedy })) => {
-            let line = |text: String| text.replace('\n', " ");
-            (CONFIG, format!("{}\n{}\n{}", line(key), line(problem), line(remedy)))
+        Ok(Err(Error::Config { key, problem, remedy })) => (CONFIG, lines([&key, &problem, &remedy])),
+        Ok(Err(Error::Length { what, expected, got })) => (LENGTH, lines([&what, &expected, &got])),
+        Ok(Err(Error::NonFinite { what, index, value })) => (NON_FINITE, lines([&what, &index, &value])),
+        Ok(Err(Error::Parameter { name, value, lower, upper, unit })) => {
+            (PARAMETER, lines([&name, &value, &lower, &upper, &unit]))
         }
         Ok(Err(other)) => (FAILED, other.to_string()),
         Err(payload) => {
@@ -122,6 +124,11 @@ unsafe fn guarded(error: Sink, run: impl FnOnce() -> Result<()>) -> i32 {
     // SAFETY: the caller vouches for the sink.
     unsafe { error.put(&text) };
     status
+}
+
+/// One line per part; a part of several lines becomes one.
+fn lines<const N: usize>(parts: [&dyn std::fmt::Display; N]) -> String {
+    parts.map(|part| part.to_string().replace(['\r', '\n'], " ")).join("\n")
 }
 
 /// The key of an error about a table that cannot be read at all: the parser's message says where.

@@ -192,7 +192,9 @@ const INTRODUCTION: &str = "\
  *   - Equal blocks give equal bits, on any thread. Zero strain gives zero energy and stress. Every wanted output is finite
  *     for finite input.
  *   - A status other than CAPHY_OK leaves outputs undefined; its text, written to `error`, says why. For CAPHY_CONFIG the
- *     text has three lines: the key, the problem, the remedy.
+ *     text has three lines: the key, the problem, the remedy; for CAPHY_LENGTH: the array's name, the length expected, the
+ *     length given; for CAPHY_NON_FINITE: the array's name, the flat index, the value. For CAPHY_PARAMETER it has five: the
+ *     parameter's name, the value, the lower and the upper bound, the unit.
  */
 #ifndef CAPHY_PLUGIN_H
 #define CAPHY_PLUGIN_H
@@ -216,6 +218,9 @@ pub fn header() -> String {
         ("UNSUPPORTED", i64::from(UNSUPPORTED)),
         ("CONFIG", i64::from(CONFIG)),
         ("FAILED", i64::from(FAILED)),
+        ("LENGTH", i64::from(LENGTH)),
+        ("NON_FINITE", i64::from(NON_FINITE)),
+        ("PARAMETER", i64::from(PARAMETER)),
         ("KIND_MATERIAL", i64::from(KIND_MATERIAL)),
         ("KIND_NET", i64::from(KIND_NET)),
     ] {

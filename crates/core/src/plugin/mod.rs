@@ -39,7 +39,8 @@
 //! * Texts are UTF-8, not ended by a zero, and borrowed for the call alone. A callee hands text back through a [`Sink`],
 //!   which copies it.
 //! * The host has checked every block: lengths fit, inputs are finite, outputs that were declared as not offered are absent.
-//! * A status other than [`OK`] leaves outputs undefined; its text says why.
+//! * A status other than [`OK`] leaves outputs undefined; its text says why, in lines where [`abi`] says so, and becomes the
+//!   error that the same plugin would give when linked.
 
 pub mod abi;
 pub mod export;

@@ -1,7 +1,10 @@
 //! Faulty bodies around a correct one: a stick of two joints and eight vertices.
 
 use crate::table::{TABLE, read, write};
-use caphy_core::body::{BlendWeights, BodyDescription, BodyGradient, BodyModel, BodyParameters, Joint, PosedBody};
+use caphy_core::body::{
+    BlendWeights, BodyDescription, BodyGradient, BodyModel, BodyParameters, Joint, PosedBody, PosedSkeleton,
+    SurfacePoint,
+};
 use caphy_core::conformance::body::{BodySubject, CHECKS};
 use caphy_core::lanes::Frames;
 use caphy_core::{Error, Result, Vec3};
@@ -25,12 +28,15 @@ enum Fault {
     GradientHalved,
     JacobianDoubled,
     FramesShifted,
+    SkeletonShifted,
+    LandmarkOffTheSurface,
     NoHalfTurns,
     ThreadMatters,
 }
 
 struct Stick {
     description: BodyDescription,
+    landmarks: Vec<String>,
     fault: Fault,
     made_on: ThreadId,
     size: f64,
@@ -182,6 +188,21 @@ impl BodyModel for Stick {
         let matrix = DMatrix::from_rows(&rows);
         Ok(if self.is(Fault::JacobianDoubled) { matrix * 2.0 } else { matrix })
     }
+    fn skeleton(&self, parameters: &BodyParameters) -> Result<PosedSkeleton> {
+        let mut posed = self.forward(parameters)?;
+        if self.is(Fault::SkeletonShifted) {
+            posed.joints[1].x += 1e-3;
+        }
+        Ok(PosedSkeleton { joints: posed.joints, transforms: posed.transforms })
+    }
+    fn landmark_names(&self) -> &[String] {
+        &self.landmarks
+    }
+    fn landmarks(&self, rotations: &[Vec3]) -> Result<Vec<SurfacePoint>> {
+        Error::check_length("rotations", 2, rotations.len())?;
+        let last = if self.is(Fault::LandmarkOffTheSurface) { 0.6 } else { 0.5 };
+        Ok(vec![SurfacePoint::vertex(7), SurfacePoint { vertices: [0, 1, 2], weights: [0.25, 0.25, last] }])
+    }
     fn forward_frames(&self, frames: &[BodyParameters], subset: Option<&[u32]>, out: &mut Frames<f32>) -> Result<()> {
         let lanes = out.lanes_used();
         let shift = if self.is(Fault::FramesShifted) { Vec3::new(1e-3, 0.0, 0.0) } else { Vec3::zeros() };
@@ -213,7 +234,13 @@ fn stick(fault: Fault, size: f64) -> Stick {
         expression_count: 0,
         weights: BlendWeights::from_rows((0..8).map(row)),
     };
-    Stick { description, fault, made_on: std::thread::current().id(), size }
+    Stick {
+        description,
+        landmarks: vec!["top".into(), "side".into()],
+        fault,
+        made_on: std::thread::current().id(),
+        size,
+    }
 }
 
 fn subject(fault: Fault) -> BodySubject {
@@ -241,6 +268,8 @@ fn faults() -> Vec<(Fault, Vec<&'static str>)> {
         (Fault::GradientHalved, vec!["gradients_agree_with_differences"]),
         (Fault::JacobianDoubled, vec!["the_jacobian_is_made_of_products"]),
         (Fault::FramesShifted, vec!["frames_agree_with_poses"]),
+        (Fault::SkeletonShifted, vec!["skeleton_agrees_with_poses"]),
+        (Fault::LandmarkOffTheSurface, vec!["landmarks_ride_on_the_surface"]),
         (Fault::NoHalfTurns, vec!["extremes_are_finite"]),
         (Fault::ThreadMatters, vec!["threads_change_nothing"]),
     ]

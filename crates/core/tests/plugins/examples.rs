@@ -82,6 +82,12 @@ fn the_same_material_in_c() {
         matches!(refused("k1 = 1e5"), Error::Config { key, problem, .. } if key == "k1" && problem.contains("k0 k2"))
     );
     assert!(refused("kO = 1").to_string().contains("`kO`"));
+    // Nothing is passed over: each line is blank, a comment, or `key = number`.
+    let long = format!("k0 = 1{}", " ".repeat(300));
+    for malformed in ["k0", "k0 =", "= 1", "[woven]", "k0 = 1 2", "k0 1", "k0 = 1x", long.as_str()] {
+        assert!(matches!(refused(malformed), Error::Config { .. }), "{malformed}");
+    }
+    library.material("woven_c", "\n  # the default\ntype = \"woven_c\"\r\n\tk0 = 1e3 # stiff\n").expect("a material");
 }
 
 #[test]

@@ -128,6 +128,37 @@ fn failures_carry_the_plugins_words() {
 }
 
 #[test]
+fn errors_with_numbers_keep_their_type() {
+    let fixture = Fixture::new();
+    let refused = |fault: &str| {
+        let path = fixture.faulty(fault)?;
+        Some(Library::load(&path).expect("it loads").material("zero", "").err().expect("refused"))
+    };
+    let Some(error) = refused("LENGTH_ERROR") else { return };
+    assert!(matches!(&error, Error::Length { what, expected: 12, got: 7 } if what == "weft counts"), "{error}");
+    let Some(error) = refused("NON_FINITE_ERROR") else { return };
+    let told = matches!(&error, Error::NonFinite { what, index: 3, value } if what == "warp tension" && value.is_nan());
+    assert!(told, "{error}");
+    let Some(error) = refused("PARAMETER_ERROR") else { return };
+    let told = matches!(&error, Error::Parameter { name, value, lower, upper, unit }
+        if name == "k" && *value == -1.5 && *lower == 0.0 && *upper == 1e6 && unit == "N/m");
+    assert!(told, "{error}");
+    let Some(error) = refused("GARBLED_ERROR") else { return };
+    assert!(error.to_string().contains("status 5 with the text `k\nmany\nfew`"), "{error}");
+}
+
+/// Bound when it is first called, it would end the program there.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_function_that_is_nowhere_is_found_missing_when_loading() {
+    let fixture = Fixture::new();
+    let Some(path) = fixture.faulty("MISSING_FUNCTION") else { return };
+    let problem = problem(Library::load(&path));
+    let told = matches!(&problem, PluginProblem::NotALibrary { reason } if reason.contains("a_loom_that_nobody_built"));
+    assert!(told, "{problem}");
+}
+
+#[test]
 fn wrong_lengths_never_reach_the_library() {
     let fixture = Fixture::new();
     let Some(path) = fixture.faulty("NONE") else { return };

@@ -7,6 +7,9 @@
 static void put(caphy_sink sink, const char *text) { sink.write(sink.context, (const uint8_t *)text, strlen(text)); }
 
 static int handle;
+#ifdef FAULT_MISSING_FUNCTION
+int32_t a_loom_that_nobody_built(void);
+#endif
 
 static int32_t create(caphy_text toml, void **out, caphy_sink error) {
     (void)toml;
@@ -24,6 +27,20 @@ static int32_t create(caphy_text toml, void **out, caphy_sink error) {
 #elif defined FAULT_ERROR_IS_NOT_UTF8
     put(error, "\xff\xfe");
     return CAPHY_FAILED;
+#elif defined FAULT_LENGTH_ERROR
+    put(error, "weft counts\n12\n7");
+    return CAPHY_LENGTH;
+#elif defined FAULT_NON_FINITE_ERROR
+    put(error, "warp tension\n3\nnan");
+    return CAPHY_NON_FINITE;
+#elif defined FAULT_PARAMETER_ERROR
+    put(error, "k\n-1.5\n0\n1e6\nN/m");
+    return CAPHY_PARAMETER;
+#elif defined FAULT_GARBLED_ERROR
+    put(error, "k\nmany\nfew");
+    return CAPHY_LENGTH;
+#elif defined FAULT_MISSING_FUNCTION
+    return a_loom_that_nobody_built();
 #else
     return CAPHY_OK;
 #endif

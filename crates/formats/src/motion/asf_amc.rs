@@ -1,7 +1,7 @@
 //! Acclaim skeletons and motion (`.asf`, `.amc`).
 
-use super::clip_name;
 use super::mapping::SkeletonMapping;
+use super::named_clip;
 use super::retarget::{Retarget, SourceJoint, turn};
 use super::text::{Lines, MOST_FRAMES, MOST_JOINTS};
 use caphy_core::motion::MotionClip;
@@ -49,7 +49,7 @@ pub fn read_asf_amc(
         }
         poses.push(retarget.pose(&world, &frame.position, pelvis));
     })?;
-    MotionClip::new(clip_name(amc_path), fps, poses)
+    named_clip(amc_path, fps, poses)
 }
 
 /// Place of the root among the joints; bones follow it.

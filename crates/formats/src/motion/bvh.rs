@@ -1,7 +1,7 @@
 //! Biovision hierarchies (`.bvh`): a skeleton and its motion in one file.
 
-use super::clip_name;
 use super::mapping::SkeletonMapping;
+use super::named_clip;
 use super::retarget::{Retarget, SourceJoint, turn};
 use super::text::{Lines, MOST_FRAMES, MOST_JOINTS};
 use caphy_core::motion::MotionClip;
@@ -40,7 +40,7 @@ pub fn read_bvh(path: &Path, bytes: &[u8], mapping: &SkeletonMapping, pelvis: &V
         let problem = format!("{} frames, {} are declared", poses.len(), header.frames);
         return Err(lines.bad_at("end of the file".into(), problem));
     }
-    MotionClip::new(clip_name(path), 1.0 / header.frame_time, poses)
+    named_clip(path, 1.0 / header.frame_time, poses)
 }
 
 /// What one number of a row does.

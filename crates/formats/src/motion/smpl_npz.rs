@@ -1,7 +1,7 @@
 //! Parameters of SMPL, SMPL-H and SMPL-X bodies per frame in `.npz`: AMASS, and what video trackers write.
 
 use super::axes::UpAxis;
-use super::clip_name;
+use super::named_clip;
 use super::text::MOST_FRAMES;
 use crate::npz::Npz;
 use caphy_core::motion::MotionClip;
@@ -187,7 +187,7 @@ pub fn read_smpl_npz(path: &Path, bytes: Vec<u8>, options: &SmplNpzOptions, pelv
             pose
         })
         .collect();
-    MotionClip::new(clip_name(path), fps, poses)
+    named_clip(path, fps, poses)
 }
 
 /// Rotations of some joints over all frames.
@@ -225,7 +225,8 @@ impl Rotations {
             let rotation = |(i, values): (usize, &[f64])| {
                 let m = Matrix3::from_row_slice(values);
                 // Half precision and networks' own rounding pass.
-                if (m.transpose() * m - Matrix3::identity()).amax() > 1e-2 || m.determinant() < 0.0 {
+                let bounded = values.iter().all(|x| x.abs() < 2.0);
+                if !bounded || (m.transpose() * m - Matrix3::identity()).amax() > 1e-2 || m.determinant() < 0.0 {
                     let at = format!("array `{name}`, frame {}, rotation {}", i / targets.len(), i % targets.len());
                     return Err(bad(at, format!("{values:.3?} is no rotation"), "give proper rotations".into()));
                 }

@@ -1,5 +1,11 @@
-//! Where tests find the shared data.
+//! Where tests find the shared data, and archives made by an independent writer.
 
+// Each test binary uses its part.
+#![allow(dead_code)]
+
+use npyz::zip::write::FileOptions;
+use npyz::zip::{CompressionMethod, ZipWriter};
+use std::io::{Cursor, Write};
 use std::path::PathBuf;
 
 /// A file of the shared folder, or `None` with a loud line.
@@ -14,4 +20,27 @@ pub(crate) fn shared(name: &str) -> Option<Vec<u8>> {
             None
         }
     }
+}
+
+/// An archive of raw `.npy` texts, so that what is wrong with them stays in the `.npy` layer.
+pub(crate) fn archive(entries: &[(&str, Vec<u8>)], deflated: bool) -> Vec<u8> {
+    let method = if deflated { CompressionMethod::Deflated } else { CompressionMethod::Stored };
+    let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, content) in entries {
+        let options = FileOptions::default().compression_method(method);
+        writer.start_file(format!("{name}.npy"), options).unwrap();
+        writer.write_all(content).unwrap();
+    }
+    writer.finish().unwrap().into_inner()
+}
+
+/// A `.npy` text.
+pub(crate) fn npy(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
+    let order = if fortran { "True" } else { "False" };
+    let header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.extend(data);
+    bytes
 }

@@ -78,11 +78,11 @@ impl Chamfer {
         let part: Vec<[T; 3]> = self.taking_part.iter().map(|&v| x[v as usize]).collect();
         let mut gradient = vec![[T::zero(); 3]; if wanted { part.len() } else { 0 }];
         let mut energy = 0.0;
-        let to_scan = nearest_of_all(&scan.grid, &scan.points, &part).map_err(|e| match e {
+        let to_scan = nearest_of_all(&scan.grid, &part).map_err(|e| match e {
             NoNearest::Query(i, p) => NoNearest::Query(self.taking_part[i] as usize, p),
             NoNearest::Empty => NoNearest::Empty,
         })?;
-        let to_garment = nearest_of_all(&NearestGrid::new(&part), &part, &scan.points)?;
+        let to_garment = nearest_of_all(&NearestGrid::new(&part), &scan.points)?;
         let ahead = to_scan.iter().enumerate().map(|(i, &c)| (i, c as usize));
         let back = to_garment.iter().enumerate().map(|(c, &i)| (i as usize, c));
         for (pairs, count) in [

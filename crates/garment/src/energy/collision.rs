@@ -148,7 +148,7 @@ pub fn nearest_body_vertices<T: Real>(garment: &Frames<T>, body: &Frames<T>) -> 
         .map(|frame| {
             let (block, lane) = (frame / lanes, frame % lanes);
             let points = lane_points(body, block, lane);
-            nearest_of_all(&NearestGrid::new(&points), &points, &lane_points(garment, block, lane))
+            nearest_of_all(&NearestGrid::new(&points), &lane_points(garment, block, lane))
                 .map_err(|problem| problem.into_error(block, lane))
         })
         .collect();
@@ -204,21 +204,15 @@ impl<T: Real> NoNearest<T> {
 /// neighbours in space.
 pub(crate) fn nearest_of_all<T: Real>(
     grid: &NearestGrid<T>,
-    points: &[[T; 3]],
     queries: &[[T; 3]],
 ) -> std::result::Result<Vec<u32>, NoNearest<T>> {
     let mut out = Vec::with_capacity(queries.len());
-    let mut last: Option<u32> = None;
+    let mut last = u32::MAX;
     for (v, query) in queries.iter().enumerate() {
-        // A little more than the distance to the last answer, so that this answer itself stays inside the limit.
-        let bounded = last.and_then(|id| {
-            let d = square_distance(query, &points[id as usize]);
-            grid.nearest_within(query, d * T::of(1.001) + T::of(1e-12))
-        });
-        match bounded.or_else(|| grid.nearest(query)) {
+        match grid.nearest_from(query, last) {
             Some((id, _)) => {
                 out.push(id);
-                last = Some(id);
+                last = id;
             }
             None if query.iter().all(|c| c.is_finite()) => return Err(NoNearest::Empty),
             None => return Err(NoNearest::Query(v, *query)),

@@ -93,12 +93,62 @@ struct Lookup<T> {
     k: Row<T>,
 }
 
+/// The hinges of a piece.
+struct Piece<'a, T> {
+    angle: &'a Row<T>,
+    rest: &'a Row<T>,
+    length: &'a Row<T>,
+    area: &'a Row<T>,
+    /// (du, dv) on both sides.
+    directions: [[&'a Row<T>; 2]; 2],
+}
+
+/// Stiffness of a piece, and with `DERIVATIVES` what its derivatives are made of.
+#[inline(always)]
+fn look_up<T: Real, const REPAIRED: bool, const DERIVATIVES: bool>(
+    curves: &BendCurves<T>,
+    hinges: &Piece<'_, T>,
+    l: &mut Lookup<T>,
+) {
+    let (zero, ten) = (T::zero(), T::of(2.0 * COLUMN));
+    let low = if REPAIRED { zero } else { T::of(RIDGE_END) };
+    let [[du0, dv0], [du1, dv1]] = hinges.directions;
+    for i in 0..CHUNK {
+        let a = hinges.area[i];
+        let ten_area = ten * if a > T::of(SMALLEST_AREA) { a } else { T::of(SMALLEST_AREA) };
+        let fold = if REPAIRED { (hinges.angle[i] - hinges.rest[i]).abs() } else { hinges.angle[i] };
+        let s = clamp(fold * hinges.length[i] / ten_area, low, T::of(LAST));
+        let mut curve = curves.start;
+        for j in 0..BEND_COLUMNS - 1 {
+            let along = ramp(s, j);
+            for r in 0..BEND_ROWS {
+                curve[r] += curves.rise[r][j] * along;
+            }
+        }
+        let side0 = between_rows(du0[i], dv0[i]);
+        let side1 = between_rows(du1[i], dv1[i]);
+        let (k0, k1) = (along_rows(side0, curve), along_rows(side1, curve));
+        let second = k1 < k0;
+        let k = if second { k1 } else { k0 };
+        l.k[i] = if k > zero { k } else { zero };
+        if DERIVATIVES {
+            let weights = row_weights(if second { side1 } else { side0 });
+            for r in 0..BEND_ROWS {
+                l.weights[r][i] = weights[r];
+            }
+            l.s[i] = s;
+            l.fold[i] = fold;
+            l.ten_area[i] = ten_area;
+        }
+    }
+}
+
 simd_kernel! {
     /// Answers a checked block: k = min over both sides of max(0, bilinear).
     pub(super) fn hinge_by_table<T>(curves: BendCurves<T>, lookup: BendingLookup, block: &mut HingeBlock<'_, T>) {
         let n = block.count;
         let repaired = lookup == BendingLookup::Repaired;
-        let (zero, ten) = (T::zero(), T::of(2.0 * COLUMN));
+        let zero = T::zero();
         let (angle, rest) = (block.angle.or_empty(), block.angle_rest.or_empty());
         let (length, area) = (block.length.or_empty(), block.area.or_empty());
         let (du0, dv0) = block.direction0.or_empty().split_at(n);
@@ -114,35 +164,13 @@ simd_kernel! {
         let mut start = 0;
         while start < n {
             in_pieces!(start; angle, rest, length, area, du0, dv0, du1, dv1);
-            for i in 0..CHUNK {
-                let a = area[i];
-                let ten_area = ten * if a > T::of(SMALLEST_AREA) { a } else { T::of(SMALLEST_AREA) };
-                let fold = if repaired { (angle[i] - rest[i]).abs() } else { angle[i] };
-                let low = if repaired { zero } else { T::of(RIDGE_END) };
-                let s = clamp(fold * length[i] / ten_area, low, T::of(LAST));
-                let mut curve = curves.start;
-                for j in 0..BEND_COLUMNS - 1 {
-                    let along = ramp(s, j);
-                    for r in 0..BEND_ROWS {
-                        curve[r] += curves.rise[r][j] * along;
-                    }
-                }
-                let side0 = between_rows(du0[i], dv0[i]);
-                let side1 = between_rows(du1[i], dv1[i]);
-                let (k0, k1) = (along_rows(side0, curve), along_rows(side1, curve));
-                let second = k1 < k0;
-                let k = if second { k1 } else { k0 };
-                l.k[i] = if k > zero { k } else { zero };
-                // Only derivatives need the rest; the condition is taken out of the loop.
-                if derivatives {
-                    let weights = row_weights(if second { side1 } else { side0 });
-                    for r in 0..BEND_ROWS {
-                        l.weights[r][i] = weights[r];
-                    }
-                    l.s[i] = s;
-                    l.fold[i] = fold;
-                    l.ten_area[i] = ten_area;
-                }
+            let hinges = Piece { angle, rest, length, area, directions: [[du0, dv0], [du1, dv1]] };
+            // What is wanted is settled before the loop: inside of it, AVX2 has only slow conditional stores for it.
+            match (repaired, derivatives) {
+                (true, false) => look_up::<T, true, false>(&curves, &hinges, &mut l),
+                (true, true) => look_up::<T, true, true>(&curves, &hinges, &mut l),
+                (false, false) => look_up::<T, false, false>(&curves, &hinges, &mut l),
+                (false, true) => look_up::<T, false, true>(&curves, &hinges, &mut l),
             }
             if let Some(out) = block.stiffness.get() {
                 write(out, start, |i| l.k[i]);

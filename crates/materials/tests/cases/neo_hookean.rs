@@ -54,6 +54,34 @@ fn it_pushes_back_where_stvk_gives_way() {
     assert!(push(&*neo, 0.12) > 10.0 * push(&*stvk, 0.12));
 }
 
+/// Area ratio below which the energy falls again as the sheet is squeezed further; 0 when it never does.
+fn gives_way(lambda: f64, evenly: bool) -> f64 {
+    let text = format!("type = \"neo_hookean\"\nlambda_n_per_m = {}\nmu_n_per_m = {MU}", lambda * MU);
+    let sheet = toml::from_str::<Box<dyn MaterialSpec>>(&text).unwrap().build().unwrap();
+    let steps = 4000;
+    let ratio = |i: i32| f64::from(i) / f64::from(steps);
+    let energy = |area: f64| {
+        let (u, v) = if evenly { (area, area) } else { (area * area, 1.0) };
+        sheet.at([0.5 * (u - 1.0), 0.5 * (v - 1.0), 0.0]).unwrap().energy
+    };
+    // Rounding of energies of at most a few times mu.
+    let rises = |i: &i32| energy(ratio(*i)) > energy(ratio(i - 1)) + 1e-12 * MU;
+    (1..=steps).rev().find(rises).map_or(0.0, ratio)
+}
+
+#[test]
+fn it_resists_collapse_within_the_documented_limits() {
+    for lambda in [0.0, 0.5, 2.0] {
+        assert!(gives_way(lambda, true) <= 0.0051, "{lambda}: {}", gives_way(lambda, true));
+    }
+    assert!(gives_way(-0.3, true) <= 0.05, "{}", gives_way(-0.3, true));
+    let soft = gives_way(-0.5, true);
+    assert!(soft > 0.19 && soft <= 0.21, "{soft}");
+    for lambda in [-0.3, 0.0, 2.0] {
+        assert_eq!(gives_way(lambda, false), 0.0, "{lambda}");
+    }
+}
+
 #[test]
 fn energy_stress_and_tangent_cross_the_joint_without_a_jump() {
     let sheet = model("neo_hookean");
