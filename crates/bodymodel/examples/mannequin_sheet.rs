@@ -141,8 +141,8 @@ fn main() {
     near("face, front", &rest, face, Z, 0.30, true);
     near("face, three quarters", &rest, face, Vec3::new(0.7, 0.1, 0.8), 0.30, true);
     near("face, side", &rest, face, X, 0.30, true);
-    let hand = at(0.765, 1.395, 0.0);
-    near("hand, above", &rest, hand, Vec3::new(0.0, 1.0, 0.01), 0.22, true);
+    let hand = at(0.785, 1.395, 0.0);
+    near("hand, above", &rest, hand, Vec3::new(0.0, 1.0, 0.01), 0.25, true);
     near("hand, front", &rest, hand, Vec3::new(0.2, 0.3, 1.0), 0.22, true);
     let names = ["index", "middle", "ring", "pinky"];
     let joints: Vec<String> = names.iter().flat_map(|n| (1..=3).map(move |k| format!("{n}{k}"))).collect();
