@@ -1,6 +1,6 @@
 //! Clips named in a configuration.
 
-use crate::config::{ClipConfig, MotionConfig, Translation};
+use crate::config::{ClipConfig, MotionConfig, Translation, cmu_fps};
 use crate::files::ProjectFiles;
 use caphy_bodymodel::procedural_motion::procedural_clip;
 use caphy_core::files::Files;
@@ -61,18 +61,31 @@ fn expand(files: &ProjectFiles, clip: &ClipConfig) -> Result<Vec<(Option<String>
     }
     let of = |path: PathBuf| {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let clip = match path.extension().map(|e| e.to_string_lossy().to_lowercase()).as_deref() {
-            Some("npz") => ClipConfig::Amass { path, translation: *translation },
-            Some("bvh") => ClipConfig::Bvh { path, mapping: mapping.clone(), metres_per_unit: None },
-            _ => {
-                let subject = name.split(['_', '.']).next().unwrap_or_default();
-                let skeleton = path.with_file_name(format!("{subject}.asf"));
-                ClipConfig::AsfAmc { skeleton, path, fps: *amc_fps, mapping: None }
-            }
-        };
-        (Some(name), clip)
+        let mut clip = clip_of_file(path, *translation)?;
+        match &mut clip {
+            ClipConfig::Bvh { mapping: own, .. } => own.clone_from(mapping),
+            ClipConfig::AsfAmc { fps, .. } => *fps = *amc_fps,
+            _ => {}
+        }
+        Some((Some(name), clip))
     };
-    Ok(found.into_iter().map(of).collect())
+    Ok(found.into_iter().filter_map(of).collect())
+}
+
+/// How a motion file is read when nothing but its name is known: `.npz` as AMASS, `.bvh` and `.amc` as CMU's, the skeleton of
+/// an `.amc` beside it (`35_01.amc`: `35.asf`). `None` for other endings.
+pub fn clip_of_file(path: PathBuf, translation: Translation) -> Option<ClipConfig> {
+    match path.extension()?.to_string_lossy().to_lowercase().as_str() {
+        "npz" => Some(ClipConfig::Amass { path, translation }),
+        "bvh" => Some(ClipConfig::Bvh { path, mapping: None, metres_per_unit: None }),
+        "amc" => {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let subject = name.split(['_', '.']).next().unwrap_or_default();
+            let skeleton = path.with_file_name(format!("{subject}.asf"));
+            Some(ClipConfig::AsfAmc { skeleton, path, fps: cmu_fps(), mapping: None })
+        }
+        _ => None,
+    }
 }
 
 /// The clip as it was recorded.

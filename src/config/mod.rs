@@ -15,6 +15,7 @@ use caphy_core::{Error, Result};
 use caphy_formats::motion::UpAxis;
 use caphy_garment::energy::{ContactOptions, LayeringOptions};
 use caphy_garment::estimate::ForceBalanceSettings;
+use caphy_garment::skinning::WeightOptions;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -166,6 +167,16 @@ pub struct GarmentConfig {
     /// Edge length of the template [m]. Default 0.025: about 1000 vertices.
     #[serde(default = "template_resolution")]
     pub resolution_m: f64,
+    /// Where templates come from: `type = "parametric" | "mesh" | "folder" | "linear"`. Default `parametric`: cut on the body.
+    #[serde(default = "parametric")]
+    pub template: PluginTable,
+    /// How the garment takes its skinning weights from the body.
+    #[serde(default)]
+    pub weights: WeightOptions,
+}
+
+fn parametric() -> PluginTable {
+    PluginTable::of_type("parametric")
 }
 
 fn thirty() -> usize {
@@ -278,13 +289,15 @@ fn tracked_smoothing() -> f64 {
     0.03
 }
 
-fn cmu_fps() -> f64 {
+/// The rate of the CMU database's clips, which its files do not say [1/s].
+pub(crate) fn cmu_fps() -> f64 {
     120.0
 }
 
 /// Meaning of `trans` in an AMASS-style file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Translation {
     /// What is added to the posed body.
     #[default]
@@ -525,6 +538,8 @@ impl Config {
             (Kind::Net, "net", &mut self.net),
             (Kind::Material, "upper.material", &mut self.upper.material),
             (Kind::Material, "lower.material", &mut self.lower.material),
+            (Kind::Template, "upper.template", &mut self.upper.template),
+            (Kind::Template, "lower.template", &mut self.lower.template),
         ];
         if let SubjectConfig::Synthetic(s) = &mut self.subject {
             all.push((Kind::Material, "subject.upper_material", &mut s.upper_material));
@@ -542,6 +557,18 @@ impl Config {
         }
         all
     }
+}
+
+/// A TOML file that holds one clip's table and nothing else.
+///
+/// # Errors
+/// [`Error::Format`] with line and column.
+pub fn clip_table(path: &Path, text: &str) -> Result<ClipConfig> {
+    let table = parse_table(path, text)?;
+    let read = |table: &toml::Table| -> std::result::Result<ClipConfig, String> {
+        table.clone().try_into().map_err(|e: toml::de::Error| e.message().trim().to_string())
+    };
+    read(&table).map_err(|message| place::error(path, text, "", &table, &message, &|table| read(table).err()))
 }
 
 /// A TOML file as a table.
