@@ -12,6 +12,8 @@ use std::fmt::Write;
 
 /// Poses on the contact sheet.
 const POSES: usize = 10;
+/// Shape coefficients on the contact sheet.
+const COEFFICIENTS: usize = 5;
 /// Seed of the poses; the first is an A-pose.
 const SEED: u64 = 1;
 
@@ -140,29 +142,37 @@ pub fn text(f: &BodyFacts) -> String {
 /// A shape that is not this body's.
 pub fn sheet(body: &dyn BodyModel, shape: &[f64]) -> Result<Vec<u8>> {
     let faces = &body.describe().faces;
-    let draw = |vertices: Vec<Vec3>, from: &Vec3| {
+    let bounds_of = |vertices: &[Vec3]| mesh::bounds(vertices).unwrap_or((Vec3::zeros(), Vec3::repeat(1.0)));
+    let draw = |vertices: Vec<Vec3>, bounds: (Vec3, Vec3), from: &Vec3| {
         let surface = TriMesh { vertices, faces: faces.clone() };
-        let bounds = surface.bounds().unwrap_or((Vec3::zeros(), Vec3::repeat(1.0)));
         pictures::draw(vec![Layer::uniform(&surface, CLAY_SKIN)], pictures::padded(bounds), from)
     };
     let rest = body.rest(shape);
     let mut cells = Vec::new();
     let mut both = |label: String, vertices: Vec<Vec3>| {
-        cells.push((label.clone(), draw(vertices.clone(), &pictures::FRONT)));
-        cells.push((format!("{label}, back"), draw(vertices, &pictures::BACK)));
+        let bounds = bounds_of(&vertices);
+        cells.push((label.clone(), draw(vertices.clone(), bounds, &pictures::FRONT)));
+        cells.push((format!("{label}, back"), draw(vertices, bounds, &pictures::BACK)));
     };
     both("T-pose".into(), body.forward(&rest)?.vertices);
     for (i, pose) in static_poses(SEED, POSES).iter().enumerate() {
         both(format!("pose {}", i + 1), body.forward(&rest.posed(pose))?.vertices);
     }
-    for coefficient in 0..body.describe().shape_count.min(3) {
+    let mut shapes = Vec::new();
+    for coefficient in 0..body.describe().shape_count.min(COEFFICIENTS) {
         for value in [-2.0, 2.0] {
             let mut changed = shape.to_vec();
             changed.resize(changed.len().max(coefficient + 1), 0.0);
             changed[coefficient] = value;
             let vertices = body.forward(&body.rest(&changed))?.vertices;
-            cells.push((format!("shape {} = {value:+}", coefficient + 1), draw(vertices, &pictures::FRONT)));
+            shapes.push((format!("shape {} = {value:+}", coefficient + 1), vertices));
         }
+    }
+    // At one scale, or tall and small would look alike.
+    let all = shapes.iter().map(|(_, vertices)| bounds_of(vertices)).reduce(|a, b| (a.0.inf(&b.0), a.1.sup(&b.1)));
+    for (label, vertices) in shapes {
+        let bounds = all.unwrap_or_else(|| bounds_of(&vertices));
+        cells.push((label, draw(vertices, bounds, &pictures::FRONT)));
     }
     pictures::sheet(&cells, 8)
 }
