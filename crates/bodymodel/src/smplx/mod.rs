@@ -80,7 +80,7 @@ impl BodySmplx {
         let (shape_count, expression_count) = (arrays.shape_directions.len(), arrays.expression_directions.len());
         let directions: Vec<_> = arrays.shape_directions.iter().chain(&arrays.expression_directions).cloned().collect();
         let joint_directions = directions.iter().map(|d| regress(d)).collect();
-        let correctives = PoseCorrectives::new(&arrays.pose_directions, arrays.template.len());
+        let correctives = PoseCorrectives::new(arrays.pose_directions, arrays.template.len());
         let description = BodyDescription {
             name: arrays.name,
             joints: arrays.joints,
