@@ -259,7 +259,8 @@ pub trait BodyModel: Send + Sync {
         Ok(Vec::new())
     }
     /// Poses many frames into lanes: frame `i` goes to block `i / lanes_used`, lane `i % lanes_used`. `subset` picks vertices
-    /// (in its order), `None` means all. The default goes through [`BodyModel::forward`].
+    /// (in its order), `None` means all; displacements of the others may go unchecked. The default goes through
+    /// [`BodyModel::forward`].
     fn forward_frames(&self, frames: &[BodyParameters], subset: Option<&[u32]>, out: &mut Frames<f32>) -> Result<()> {
         Error::check_length("frames of a batch", out.frames(), frames.len())?;
         self.describe().check_vertices(subset.unwrap_or(&[]))?;

@@ -12,20 +12,9 @@ const L: usize = <f32 as Real>::LANES;
 /// Values of a 3×4 transform, row by row, in every lane.
 const TRANSFORM: usize = 12 * L;
 
-/// Blocks whose correctives are summed at once: three coordinates of so many blocks stay in registers, so that each
-/// direction is loaded once for all of them.
-fn blocks_at_once() -> usize {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if caphy_core::simd::has_avx512() {
-            return 5;
-        }
-        if caphy_core::simd::has_avx2() {
-            return 2;
-        }
-    }
-    1
-}
+/// Blocks whose correctives are summed at once, so that each direction is loaded once for all of them. Three coordinates of
+/// five blocks stay in registers with AVX-512; with AVX2 and without vector units fewer do, and five are still the fastest.
+const BLOCKS_AT_ONCE: usize = 5;
 
 /// What all vertices of a batch share.
 struct Batch<'a, T> {
@@ -36,7 +25,6 @@ struct Batch<'a, T> {
     features: &'a [T],
     /// Columns that are not zero in all frames.
     columns: &'a [Range<usize>],
-    blocks_at_once: usize,
 }
 
 /// Some vertices.
@@ -58,7 +46,7 @@ simd_kernel! {
     fn pose_chunk<T>(batch: &Batch<'_, T>, chunk: &Chunk<'_, T>, pieces: &mut [&mut [T]]) {
         for vertex in 0..chunk.ids.len() {
             let mut first = 0;
-            for group in pieces.chunks_mut(batch.blocks_at_once) {
+            for group in pieces.chunks_mut(BLOCKS_AT_ONCE) {
                 match group {
                     [a, b, c, d, e] => pose_vertex(batch, chunk, vertex, first, [a, b, c, d, e]),
                     [a, b, c, d] => pose_vertex(batch, chunk, vertex, first, [a, b, c, d]),
@@ -70,7 +58,7 @@ simd_kernel! {
                         }
                     }
                 }
-                first += batch.blocks_at_once;
+                first += BLOCKS_AT_ONCE;
             }
         }
     }
@@ -239,13 +227,7 @@ impl BodySmplx {
             Vec::new()
         };
         let weights = self.subset_weights(ids);
-        let batch = Batch {
-            transforms: &transforms,
-            joint_count,
-            features: &features,
-            columns: &busy_columns(&busy),
-            blocks_at_once: blocks_at_once(),
-        };
+        let batch = Batch { transforms: &transforms, joint_count, features: &features, columns: &busy_columns(&busy) };
 
         // All blocks of a chunk of vertices travel together, so that its correctives are read once.
         let block_len = out.block_len();

@@ -450,7 +450,7 @@ fn arrays_that_were_tampered_with_never_panic() {
                 }
                 2 => {
                     let axis = below(npy.shape.len());
-                    npy.shape[axis] = [0, 1, npy.shape[axis] + 1, usize::MAX][below(4)];
+                    npy.shape[axis] = [0, 1, npy.shape[axis].saturating_add(1), usize::MAX][below(4)];
                 }
                 3 => npy.shape.reverse(),
                 4 => npy.descr = ["<f4", "<i4", "<u4", "<f8", "<i8", "<u8"][below(6)],
