@@ -11,7 +11,7 @@ use crate::scene::{Scene, label_of, scan_frames};
 use caphy_core::files::Files;
 use caphy_core::lanes::Frames;
 use caphy_core::pose::SMPLX_JOINTS;
-use caphy_core::query::NearestGrid;
+use caphy_core::query::{NearestGrid, NearestSurface};
 use caphy_core::{Error, Result, TriMesh, Vec3, mesh};
 use caphy_formats::npz::Npz;
 use caphy_garment::estimate::reduction;
@@ -259,9 +259,6 @@ struct Distances {
     chamfer: f64,
 }
 
-/// Times that triangles are split for distances to a surface: points are then an eighth of an edge apart.
-const SPLITS: usize = 3;
-
 fn distances(
     scan: &SubjectScan,
     fitted: &crate::garment::FittedGarment,
@@ -278,10 +275,8 @@ fn distances(
             "look at the labels in the report, or leave the scan out",
         ));
     }
-    let mut surface = TriMesh { vertices: garment.to_vec(), faces: fitted.mesh.faces.clone() };
-    for _ in 0..SPLITS {
-        surface = surface.subdivided();
-    }
+    let on_surface = NearestSurface::new(garment, &fitted.mesh.faces)?.nearest_all(&points, None)?;
+    let scan_to_garment = on_surface.iter().map(|at| at.squared_distance.sqrt()).sum::<f64>() / points.len() as f64;
     // Mean distance and mean squared distance.
     let mean = |from: &[Vec3], to: &[Vec3]| {
         let grid = NearestGrid::from_points(to);
@@ -289,7 +284,6 @@ fn distances(
         let n = squares.len().max(1) as f64;
         (squares.iter().map(|d| d.sqrt()).sum::<f64>() / n, squares.iter().sum::<f64>() / n)
     };
-    let (scan_to_garment, _) = mean(&points, &surface.vertices);
     let (_, there) = mean(&points, &seen);
     let (garment_to_scan, back) = mean(&seen, &points);
     Ok(Distances { scan_to_garment, garment_to_scan, chamfer: there + back })

@@ -99,11 +99,23 @@ impl<T: Real> Cells<T> {
                     break;
                 }
             }
-            let range = |k: usize| ((centre[k] - ring).max(0), (centre[k] + ring).min(self.size[k] - 1));
+            // From afar most of a shell lies outside the ball of the limit: only its box is looked through.
+            let ball = ring > 2 && limit < T::infinity();
+            let range = |k: usize| {
+                let (low, high) = ((centre[k] - ring).max(0), (centre[k] + ring).min(self.size[k] - 1));
+                if !ball {
+                    return (low, high);
+                }
+                let others = outside[(k + 1) % 3] + outside[(k + 2) % 3];
+                let reach = (limit - others).max(T::zero()).sqrt();
+                let reach = reach + slack + slack + T::of(32.0) * T::epsilon() * (reach + r[k].abs());
+                let cell = |x: T| (x * self.inverse).to_f64().floor();
+                (low.max(cell(r[k] - reach) as i32), high.min(cell(r[k] + reach) as i32))
+            };
             let ((x0, x1), (y0, y1), (z0, z1)) = (range(0), range(1), range(2));
             for z in z0..=z1 {
                 let away_z = slab(2, z);
-                if away_z > limit {
+                if away_z + outside[0] + outside[1] > limit {
                     continue;
                 }
                 for y in y0..=y1 {
@@ -112,6 +124,9 @@ impl<T: Real> Cells<T> {
                         continue;
                     }
                     let mut row = |x0: i32, x1: i32| {
+                        if x0 > x1 {
+                            return;
+                        }
                         let from = self.starts[self.index([x0, y, z])] as usize;
                         let to = self.starts[self.index([x1, y, z]) + 1] as usize;
                         if from < to {
@@ -121,10 +136,10 @@ impl<T: Real> Cells<T> {
                     if (z - centre[2]).abs() == ring || (y - centre[1]).abs() == ring {
                         row(x0, x1);
                     } else {
-                        if centre[0] - ring >= 0 {
+                        if centre[0] - ring >= x0 {
                             row(centre[0] - ring, centre[0] - ring);
                         }
-                        if centre[0] + ring < self.size[0] {
+                        if centre[0] + ring <= x1 {
                             row(centre[0] + ring, centre[0] + ring);
                         }
                     }
