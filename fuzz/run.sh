@@ -6,7 +6,7 @@ cd "$(dirname "$0")"
 seconds="${1:?seconds per target}"
 shift
 targets=("$@")
-[ ${#targets[@]} -gt 0 ] || targets=(obj ply npz amass bvh asf_amc safetensors)
+[ ${#targets[@]} -gt 0 ] || targets=(obj ply npz smpl_npz bvh asf_amc safetensors)
 
 export RUSTC_BOOTSTRAP=1
 coverage="-sanitizer-coverage-level=4 -sanitizer-coverage-inline-8bit-counters -sanitizer-coverage-pc-table -sanitizer-coverage-trace-compares"

@@ -72,15 +72,15 @@ def npz():
         put("npz", f"entry-{name}", b"\1" + content)
 
 
-def amass():
+def smpl_npz():
     for mode, width, rate in ((2, 165, "mocap_framerate"), (7, 156, "mocap_frame_rate")):
         parts = {
             "poses": npy("<f4", f"(2, {width})", struct.pack(f"<{2 * width}f", *(0.001 * i for i in range(2 * width)))),
             "trans": npy("<f8", "(2, 3)", struct.pack("<6d", *range(6))),
             rate: npy("<f8", "()", struct.pack("<d", 120.0)),
         }
-        put("amass", f"entries-{width}", bytes([mode]) + b"\n--\n".join(parts.values()))
-        put("amass", f"archive-{width}", bytes([mode & 1]) + archive(parts, zipfile.ZIP_DEFLATED))
+        put("smpl_npz", f"entries-{width}", bytes([mode]) + b"\n--\n".join(parts.values()))
+        put("smpl_npz", f"archive-{width}", bytes([mode & 1]) + archive(parts, zipfile.ZIP_DEFLATED))
 
 
 def asf_amc():
@@ -115,5 +115,5 @@ def safetensors():
     put("safetensors", "empty", struct.pack("<Q", 2) + b"{}")
 
 
-for write in (obj, ply, npz, amass, asf_amc, bvh, safetensors):
+for write in (obj, ply, npz, smpl_npz, asf_amc, bvh, safetensors):
     write()

@@ -31,15 +31,27 @@ pub fn hash(bytes: &[u8]) -> String {
 
 /// Writes bytes so that a reader sees the old file or the whole new one, never a part.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_atomically_with(path, |out| out.write_all(bytes).map_err(|e| Error::io(path, "write", e)))
+}
+
+/// As [`write_atomically`], for content that is written as it is made.
+///
+/// # Errors
+/// What `write` gives; [`Error::Io`].
+pub fn write_atomically_with(path: &Path, write: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
     let folder = path.parent().unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
     let mut name = path.file_name().unwrap_or_default().to_os_string();
     name.push(".tmp");
     let temporary = path.with_file_name(name);
-    let write = || -> std::io::Result<()> {
-        let mut file = std::fs::File::create(&temporary)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
+    let failed = |e| Error::io(path, "write", e);
+    let mut file = std::io::BufWriter::new(std::fs::File::create(&temporary).map_err(failed)?);
+    if let Err(error) = write(&mut file) {
+        std::fs::remove_file(&temporary).ok();
+        return Err(error);
+    }
+    let finish = || -> std::io::Result<()> {
+        file.into_inner().map_err(std::io::IntoInnerError::into_error)?.sync_all()?;
         std::fs::rename(&temporary, path)?;
         // The rename itself is durable once the folder is synced; not every system can open folders.
         if let Ok(folder) = std::fs::File::open(folder) {
@@ -47,7 +59,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
         }
         Ok(())
     };
-    write().map_err(|e| Error::io(path, "write", e))
+    finish().map_err(failed)
 }
 
 /// Writes an artifact and returns its content hash.

@@ -95,9 +95,9 @@ fn example_table(name: &str) -> String {
 /// # Errors
 /// [`Error::Config`] listing all types for a name that does not exist.
 pub fn named(plugins: &Plugins, name: &str, table: Option<&str>, files: Arc<dyn Files>) -> Result<Vec<Report>> {
-    let kinds: Vec<Kind> = Kind::ALL.into_iter().filter(|k| plugins.names(*k).iter().any(|n| n == name)).collect();
+    let kinds: Vec<Kind> = Kind::CHECKED.into_iter().filter(|k| plugins.names(*k).iter().any(|n| n == name)).collect();
     if kinds.is_empty() {
-        let all: Vec<String> = Kind::ALL.iter().map(|k| format!("{k}: {}", plugins.names(*k).join(", "))).collect();
+        let all: Vec<String> = Kind::CHECKED.iter().map(|k| format!("{k}: {}", plugins.names(*k).join(", "))).collect();
         let problem = "there is no such type, and no such file";
         return Err(Error::config(name, problem, format!("give the path of a library, or one of {}", all.join("; "))));
     }
@@ -118,7 +118,7 @@ pub fn library(
     let named =
         |text: &str| -> Option<String> { Some(text.parse::<toml::Table>().ok()?.get("type")?.as_str()?.into()) };
     let mut reports = Vec::new();
-    for kind in Kind::ALL {
+    for kind in Kind::CHECKED {
         for name in plugins.names(kind) {
             if !plugins.library(kind, &name).is_some_and(|l| Arc::ptr_eq(l, library)) {
                 continue;
@@ -139,6 +139,8 @@ fn report(library: Option<&Arc<Library>>, kind: Kind, name: &str, table: &str, f
         (Kind::Net, None) => run_all(net::CHECKS, &NetSubject::linked(table)),
         (Kind::Body, _) => run_all(body::CHECKS, &BodySubject::linked(table, Arc::clone(files))),
         (Kind::Segmenter, _) => run_all(segmenter::CHECKS, &SegmenterSubject::linked(table, Arc::clone(files))),
+        // No kit: whoever asks goes through `Kind::CHECKED`.
+        (Kind::Template, _) => Vec::new(),
     };
     let checks = rows.into_iter().map(CheckReport::from).collect();
     Report { kind: kind.key(), name: name.into(), table: table.into(), checks }

@@ -1,6 +1,6 @@
 //! The disk as seen by a run: paths relative to the configuration, `${VARIABLES}` expanded.
 
-use caphy_core::files::Files;
+use caphy_core::files::{Disk, Files};
 use caphy_core::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -43,15 +43,17 @@ impl ProjectFiles {
         out.push_str(rest);
         Ok(self.base.join(out))
     }
-    /// Files of a folder with one of the endings, sorted by name.
-    pub fn list(&self, folder: &Path, endings: &[&str]) -> Result<Vec<PathBuf>> {
+    /// All files of a folder, sorted by name.
+    ///
+    /// # Errors
+    /// [`Error::Io`] that names the folder.
+    pub fn all(&self, folder: &Path) -> Result<Vec<PathBuf>> {
         let folder = self.resolve(folder)?;
-        let entries = std::fs::read_dir(&folder).map_err(|e| Error::io(&folder, "list", e))?;
+        let failed = |e| Error::io(&folder, "list", e);
         let mut found = Vec::new();
-        for entry in entries {
-            let path = entry.map_err(|e| Error::io(&folder, "list", e))?.path();
-            let ending = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-            if ending.is_some_and(|e| endings.contains(&e.as_str())) {
+        for entry in std::fs::read_dir(&folder).map_err(failed)? {
+            let path = entry.map_err(failed)?.path();
+            if path.is_file() {
                 found.push(path);
             }
         }
@@ -63,7 +65,12 @@ impl ProjectFiles {
 impl Files for ProjectFiles {
     fn read(&self, path: &Path) -> Result<Vec<u8>> {
         let path = self.resolve(path)?;
-        std::fs::read(&path).map_err(|e| Error::io(&path, "read", e))
+        Disk.read(&path)
+    }
+    fn list(&self, folder: &Path, endings: &[&str]) -> Result<Vec<PathBuf>> {
+        // What comes back is absolute or relative to the program's own place: made absolute, `read` takes it as it is.
+        let folder = std::path::absolute(self.resolve(folder)?).map_err(|e| Error::io(folder, "find", e))?;
+        Disk.list(&folder, endings)
     }
 }
 

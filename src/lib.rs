@@ -6,11 +6,14 @@
 pub mod artifact;
 pub mod config;
 pub mod conformity;
+pub mod dressed;
 pub mod files;
 pub mod fixed_shape;
 pub mod garment;
 pub mod inference;
+pub mod inputs;
 pub mod motion;
+pub mod moving;
 pub mod physics;
 pub mod pictures;
 pub mod plot;

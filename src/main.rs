@@ -30,6 +30,9 @@ enum Command {
     /// Show what caphy has or reads, as tables and pictures.
     #[command(subcommand)]
     Show(command::show::What),
+    /// Play a motion clip on a dressed body and write files that other programs open.
+    #[command(after_help = command::animate::EXAMPLES)]
+    Animate(command::animate::Arguments),
     /// Ask a material for its answers to deformation gradients or folds.
     #[command(after_help = command::probe::EXAMPLES)]
     Probe(command::probe::Arguments),
@@ -61,7 +64,8 @@ fn run(cli: &Cli) -> Result<ExitCode> {
     }
     match &cli.command {
         Command::Run(arguments) => command::run::run(arguments, &mut plugins),
-        Command::Show(what) => command::show::run(what),
+        Command::Show(what) => command::show::run(what, &plugins),
+        Command::Animate(arguments) => command::animate::run(arguments, &plugins),
         Command::Probe(arguments) => command::probe::run(arguments, &plugins),
         Command::Check(arguments) => command::check::run(arguments, &mut plugins),
     }

@@ -98,7 +98,11 @@ impl Run {
         let scan_hash = stage::hash_scans(&scans)?;
 
         // No fabric yet: another one must not cost another registration.
-        let templates = ["upper.styles", "upper.resolution_m", "lower.styles", "lower.resolution_m"];
+        let templates = ["styles", "resolution_m", "template", "weights"]
+            .iter()
+            .flat_map(|key| [format!("upper.{key}"), format!("lower.{key}")])
+            .collect::<Vec<_>>();
+        let templates: Vec<&str> = templates.iter().map(String::as_str).collect();
         let key = part(&[&["body", "segmenter", "views", "registration"][..], &templates].concat());
         let (subject, subject_hash) =
             self.stage("preprocess", &key, &scan_hash, |cx| stage::preprocess::run(cx, &scans))?;
@@ -159,7 +163,7 @@ impl Run {
     /// Hashes of the files that a part of the configuration names: a stage runs again when a body or a clip has changed.
     fn input_hashes(&self, key: &[serde_json::Value]) -> Result<Vec<String>> {
         /// Keys of the configuration whose values are paths of input files.
-        const PATHS: [&str; 3] = ["path", "skeleton", "ground_truth"];
+        const PATHS: [&str; 4] = ["path", "skeleton", "mapping", "ground_truth"];
         fn named(value: &serde_json::Value, out: &mut Vec<PathBuf>) {
             match value {
                 serde_json::Value::Array(list) => list.iter().for_each(|v| named(v, out)),
@@ -176,7 +180,20 @@ impl Run {
         }
         let mut paths = Vec::new();
         key.iter().for_each(|value| named(value, &mut paths));
-        paths.iter().map(|path| Ok(artifact::hash(&self.files.read(path)?))).collect()
+        let mut hashes = Vec::new();
+        for path in paths {
+            let resolved = self.files.resolve(&path)?;
+            if resolved.is_dir() {
+                // Whatever lies there: a new file counts as a change, too.
+                for file in self.files.all(&resolved)? {
+                    let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                    hashes.push(name + &artifact::hash(&self.files.read(&file)?));
+                }
+            } else {
+                hashes.push(artifact::hash(&self.files.read(&path)?));
+            }
+        }
+        Ok(hashes)
     }
     fn timings(&self) -> BTreeMap<String, f64> {
         self.timings.lock().map(|t| t.clone()).unwrap_or_default()

@@ -7,6 +7,7 @@ use crate::stage::preprocess::Subject;
 use crate::track::{BodyTrack, Reach};
 use crate::trainer::{MotionFrames, ScanFrames};
 use caphy_core::body::{BodyModel, BodyParameters};
+use caphy_core::motion::MotionWindows;
 use caphy_core::pose::Pose;
 use caphy_core::query::NearestGrid;
 use caphy_core::scan::Label;
@@ -57,21 +58,18 @@ impl Scene {
     /// The configured motion.
     pub fn motion(&self, context: &Context<'_>) -> Result<MotionFrames> {
         let clips = motion::load_all(context.files, &context.config.motion, &self.rest_joints[0])?;
-        let window = context.config.train.window;
-        let (mut poses, mut starts, mut has_before) = (Vec::new(), Vec::new(), Vec::new());
-        for clip in &clips {
-            let first = poses.len();
-            starts.extend((0..clip.poses.len().saturating_sub(window - 1)).map(|i| first + i));
-            has_before.extend((0..clip.poses.len()).map(|i| i > 0));
-            poses.extend(clip.poses.iter().cloned());
+        let windows = MotionWindows::new(&clips, context.config.train.window)?;
+        if windows.report.dropped_windows > 0 {
+            context.progress.note(&windows.report.to_string());
         }
-        if starts.is_empty() {
-            return Err(Error::config(
-                "motion.clips",
-                format!("no clip is as long as a window of {window} frames at {} fps", context.config.motion.fps),
-                "give longer clips or a shorter train.window",
-            ));
+        let (mut poses, mut first, mut has_before) = (Vec::new(), Vec::new(), Vec::new());
+        for prepared in &clips {
+            first.push(poses.len());
+            // A velocity over damage is none.
+            has_before.extend((0..prepared.clip.poses.len()).map(|i| i > 0 && prepared.sound(i - 1, 2)));
+            poses.extend(prepared.clip.poses.iter().cloned());
         }
+        let starts = windows.starts.iter().map(|start| first[start.clip] + start.frame).collect();
         Ok(MotionFrames { track: self.track(&poses)?, starts, has_before, fps: context.config.motion.fps })
     }
     /// Body track of the scans that may be learned from.

@@ -18,8 +18,23 @@ impl Config {
         for (key, clip) in clips.chain([("animate.clip", &self.animate.clip)]) {
             match clip {
                 ClipConfig::Procedural { .. } => {}
-                ClipConfig::Amass { path, .. } => named.push((key, path)),
-                ClipConfig::AsfAmc { skeleton, path, .. } => named.extend([(key, &**skeleton), (key, &**path)]),
+                ClipConfig::Amass { path, .. } | ClipConfig::Tracked { path, .. } => named.push((key, path)),
+                ClipConfig::Bvh { path, mapping, .. } => {
+                    named.push((key, path));
+                    named.extend(mapping.as_deref().map(|m| (key, m)));
+                }
+                ClipConfig::AsfAmc { skeleton, path, mapping, .. } => {
+                    named.extend([(key, &**skeleton), (key, &**path)]);
+                    named.extend(mapping.as_deref().map(|m| (key, m)));
+                }
+                ClipConfig::Folder { path, mapping, .. } => {
+                    let resolved = files.resolve(path)?;
+                    if !resolved.is_dir() {
+                        let problem = format!("{} is not a folder", resolved.display());
+                        return Err(Error::config(key, problem, "correct the path"));
+                    }
+                    named.extend(mapping.as_deref().map(|m| (key, m)));
+                }
             }
         }
         named.extend(self.evaluate.ground_truth.as_deref().map(|path| ("evaluate.ground_truth", path)));
@@ -75,9 +90,24 @@ impl Config {
             match clip {
                 ClipConfig::Procedural { seconds, .. } => positive(&format!("{key}.seconds"), *seconds)?,
                 ClipConfig::Amass { .. } => {}
+                ClipConfig::Tracked { fps, smoothing_s, .. } => {
+                    fps.map_or(Ok(()), |fps| positive(&format!("{key}.fps"), fps))?;
+                    not_negative(&format!("{key}.smoothing_s"), *smoothing_s)?;
+                }
+                ClipConfig::Bvh { metres_per_unit, .. } => {
+                    metres_per_unit.map_or(Ok(()), |m| positive(&format!("{key}.metres_per_unit"), m))?;
+                }
                 ClipConfig::AsfAmc { fps, .. } => positive(&format!("{key}.fps"), *fps)?,
+                ClipConfig::Folder { amc_fps, .. } => positive(&format!("{key}.amc_fps"), *amc_fps)?,
             }
         }
+        if matches!(self.animate.clip, ClipConfig::Folder { .. }) {
+            return Err(Error::config("animate.clip", "is a folder", "name one clip"));
+        }
+        self.motion.limits.check().map_err(|e| match e {
+            Error::Config { key, problem, remedy } => Error::config(format!("motion.limits.{key}"), problem, remedy),
+            other => other,
+        })?;
         self.registration.check()?;
         // Sizes that no net has; the real numbers of inputs and outputs follow from body and garment.
         self.net.net(1, 3)?;

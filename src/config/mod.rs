@@ -10,9 +10,12 @@ mod silent;
 use crate::files::ProjectFiles;
 use crate::plugins::{Kind, PluginTable, Plugins};
 use caphy_bodymodel::registration::RegistrationSettings;
+use caphy_core::motion::MotionLimits;
 use caphy_core::{Error, Result};
+use caphy_formats::motion::UpAxis;
 use caphy_garment::energy::{ContactOptions, LayeringOptions};
 use caphy_garment::estimate::ForceBalanceSettings;
+use caphy_garment::skinning::WeightOptions;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -164,6 +167,16 @@ pub struct GarmentConfig {
     /// Edge length of the template [m]. Default 0.025: about 1000 vertices.
     #[serde(default = "template_resolution")]
     pub resolution_m: f64,
+    /// Where templates come from: `type = "parametric" | "mesh" | "folder" | "linear"`. Default `parametric`: cut on the body.
+    #[serde(default = "parametric")]
+    pub template: PluginTable,
+    /// How the garment takes its skinning weights from the body.
+    #[serde(default)]
+    pub weights: WeightOptions,
+}
+
+fn parametric() -> PluginTable {
+    PluginTable::of_type("parametric")
 }
 
 fn thirty() -> usize {
@@ -180,6 +193,9 @@ pub struct MotionConfig {
     /// Frame rate that clips are resampled to [1/s]. Default 30 (Sec. 3.2).
     #[serde(default = "thirty_fps")]
     pub fps: f64,
+    /// What counts as damage: windows that it touches are not drawn. Infinite limits let everything pass.
+    #[serde(default)]
+    pub limits: MotionLimits,
     /// The clips.
     pub clips: Vec<ClipConfig>,
 }
@@ -202,7 +218,7 @@ pub enum ClipConfig {
         /// Length [s].
         seconds: f64,
     },
-    /// An AMASS-style `.npz` (SMPL-H or SMPL-X).
+    /// An AMASS-style `.npz` (SMPL, SMPL-H or SMPL-X), z up.
     Amass {
         /// The file.
         path: PathBuf,
@@ -211,7 +227,35 @@ pub enum ClipConfig {
         #[serde(default)]
         translation: Translation,
     },
-    /// A CMU skeleton and its motion.
+    /// Body parameters per frame that a video tracker wrote as `.npz`, by the names of AMASS or of the `smplx` package.
+    Tracked {
+        /// The file.
+        path: PathBuf,
+        /// Upward axis of its world: `"y"`, `"-y"` (most cameras), `"z"`, … No default: the file does not say.
+        up: UpAxis,
+        /// What its translation means, as for `amass`.
+        #[serde(default)]
+        translation: Translation,
+        /// Frame rate of the video [1/s]; by default the file's own.
+        #[serde(default)]
+        fps: Option<f64>,
+        /// Standard deviation of the Gaussian that smooths it [s]; 0 for none. Default 0.03, which halves the power of what shakes
+        /// at 4.4 Hz: walking stays, jitter from frame to frame goes.
+        #[serde(default = "tracked_smoothing")]
+        smoothing_s: f64,
+    },
+    /// A BVH file.
+    Bvh {
+        /// The file.
+        path: PathBuf,
+        /// Mapping of its joints (TOML, see `caphy_formats::motion::SkeletonMapping`). Default: the CMU database's BVH names.
+        #[serde(default)]
+        mapping: Option<PathBuf>,
+        /// Metres per length unit of the file. Default: the mapping's.
+        #[serde(default)]
+        metres_per_unit: Option<f64>,
+    },
+    /// A skeleton and its motion, CMU's or mapped.
     AsfAmc {
         /// The `.asf` file.
         skeleton: PathBuf,
@@ -220,16 +264,40 @@ pub enum ClipConfig {
         /// Its frame rate [1/s]; the format does not say. Default 120 (CMU).
         #[serde(default = "cmu_fps")]
         fps: f64,
+        /// Mapping of its bones, as for `bvh`. Default: the CMU database's bones.
+        #[serde(default)]
+        mapping: Option<PathBuf>,
+    },
+    /// All `.npz` (AMASS), `.bvh` and `.amc` files of a folder, sorted by name; for training, not for `animate`.
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What `trans` means in its `.npz`, as for `amass`.
+        #[serde(default)]
+        translation: Translation,
+        /// Mapping of its `.bvh`, as for `bvh`.
+        #[serde(default)]
+        mapping: Option<PathBuf>,
+        /// Frame rate of its `.amc` [1/s], whose skeleton is the `.asf` named like the part before the first `_` (`35_01.amc`:
+        /// `35.asf`). Default 120 (CMU).
+        #[serde(default = "cmu_fps")]
+        amc_fps: f64,
     },
 }
 
-fn cmu_fps() -> f64 {
+fn tracked_smoothing() -> f64 {
+    0.03
+}
+
+/// The rate of the CMU database's clips, which its files do not say [1/s].
+pub(crate) fn cmu_fps() -> f64 {
     120.0
 }
 
 /// Meaning of `trans` in an AMASS-style file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum Translation {
     /// What is added to the posed body.
     #[default]
@@ -470,6 +538,8 @@ impl Config {
             (Kind::Net, "net", &mut self.net),
             (Kind::Material, "upper.material", &mut self.upper.material),
             (Kind::Material, "lower.material", &mut self.lower.material),
+            (Kind::Template, "upper.template", &mut self.upper.template),
+            (Kind::Template, "lower.template", &mut self.lower.template),
         ];
         if let SubjectConfig::Synthetic(s) = &mut self.subject {
             all.push((Kind::Material, "subject.upper_material", &mut s.upper_material));
@@ -487,6 +557,18 @@ impl Config {
         }
         all
     }
+}
+
+/// A TOML file that holds one clip's table and nothing else.
+///
+/// # Errors
+/// [`Error::Format`] with line and column.
+pub fn clip_table(path: &Path, text: &str) -> Result<ClipConfig> {
+    let table = parse_table(path, text)?;
+    let read = |table: &toml::Table| -> std::result::Result<ClipConfig, String> {
+        table.clone().try_into().map_err(|e: toml::de::Error| e.message().trim().to_string())
+    };
+    read(&table).map_err(|message| place::error(path, text, "", &table, &message, &|table| read(table).err()))
 }
 
 /// A TOML file as a table.

@@ -1,6 +1,6 @@
 //! Settings that another setting switches off: a value that somebody chose and that changes nothing is refused.
 
-use super::{Config, FinetuneConfig, OptimiseConfig, SubjectConfig, TrainConfig};
+use super::{Config, FinetuneConfig, GarmentConfig, OptimiseConfig, SubjectConfig, TrainConfig};
 use caphy_core::{Error, Result};
 use serde::Serialize;
 
@@ -44,6 +44,16 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
         // A transition counts once its velocity is known, from the third frame on.
         Rule { holds: config.train.window < 3, because: "train.window < 3", silent: &["train.weights.inertia"] },
         Rule {
+            holds: is_collection(&config.upper),
+            because: "upper.template names garments that are all tried",
+            silent: &["upper.styles"],
+        },
+        Rule {
+            holds: is_collection(&config.lower),
+            because: "lower.template names garments that are all tried",
+            silent: &["lower.styles"],
+        },
+        Rule {
             holds: matches!(config.subject, SubjectConfig::Synthetic(_)),
             because: "subject.type = \"synthetic\", whose truth is known",
             silent: &["evaluate.ground_truth"],
@@ -62,6 +72,12 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Whether a garment's templates are files rather than samples of a space.
+fn is_collection(garment: &GarmentConfig) -> bool {
+    let source = garment.template.table().get("type").and_then(|t| t.as_str());
+    matches!(source, Some("mesh" | "folder"))
 }
 
 fn find<'t>(table: &'t toml::Table, path: &str) -> Option<&'t toml::Value> {

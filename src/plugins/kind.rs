@@ -1,14 +1,15 @@
-//! The four kinds of plugin.
+//! The kinds of plugin.
 
 use caphy_core::body::BodySpec;
 use caphy_core::host::PluginKind;
 use caphy_core::material::MaterialSpec;
 use caphy_core::net::NetSpec;
 use caphy_core::segmenter::SegmenterSpec;
+use caphy_garment::template::TemplateSpec;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Which of the four traits a plugin implements.
+/// Which trait a plugin implements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// [`caphy_core::material::MaterialModel`].
@@ -19,11 +20,15 @@ pub enum Kind {
     Body,
     /// [`caphy_core::segmenter::Segmenter`].
     Segmenter,
+    /// [`caphy_garment::template::TemplateSource`].
+    Template,
 }
 
 impl Kind {
-    /// All four.
-    pub const ALL: [Kind; 4] = [Kind::Material, Kind::Net, Kind::Body, Kind::Segmenter];
+    /// All of them.
+    pub const ALL: [Kind; 5] = [Kind::Material, Kind::Net, Kind::Body, Kind::Segmenter, Kind::Template];
+    /// Those whose promises [`caphy_core::conformance`] can check.
+    pub const CHECKED: [Kind; 4] = [Kind::Material, Kind::Net, Kind::Body, Kind::Segmenter];
 
     /// Name of its table in a configuration.
     pub fn key(self) -> &'static str {
@@ -32,15 +37,16 @@ impl Kind {
             Kind::Net => "net",
             Kind::Body => "body",
             Kind::Segmenter => "segmenter",
+            Kind::Template => "template",
         }
     }
 
-    /// The kind in the plugin interface; bodies and segmenters cannot be loaded.
+    /// The kind in the plugin interface; the others cannot be loaded.
     pub(super) fn loadable(self) -> Option<PluginKind> {
         match self {
             Kind::Material => Some(PluginKind::Material),
             Kind::Net => Some(PluginKind::Net),
-            Kind::Body | Kind::Segmenter => None,
+            Kind::Body | Kind::Segmenter | Kind::Template => None,
         }
     }
 
@@ -60,6 +66,7 @@ impl Kind {
             Kind::Net => filled::<dyn NetSpec>(table),
             Kind::Body => filled::<dyn BodySpec>(table),
             Kind::Segmenter => filled::<dyn SegmenterSpec>(table),
+            Kind::Template => filled::<dyn TemplateSpec>(table),
         }
     }
 }

@@ -22,11 +22,12 @@ use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
 /// Types that this program ships. One that is not linked is a mistake of the build, found at the start of every run.
-const SHIPPED: [(Kind, &[&str]); 4] = [
+const SHIPPED: [(Kind, &[&str]); 5] = [
     (Kind::Material, &["measured", "neo_hookean", "stvk"]),
     (Kind::Net, &["gru", "mlp"]),
     (Kind::Body, &["mannequin", "smplx"]),
     (Kind::Segmenter, &["colour", "vertex"]),
+    (Kind::Template, &["folder", "linear", "mesh", "parametric"]),
 ];
 
 /// The plugins of one run: the linked ones and the libraries that were loaded.

@@ -10,6 +10,7 @@ use caphy_core::net::{DeformationNet, NetSpec};
 use caphy_core::plugin::WHOLE_TABLE;
 use caphy_core::segmenter::{Segmenter, SegmenterSpec};
 use caphy_core::{Error, Result};
+use caphy_garment::template::{TemplateSource, TemplateSpec};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -28,6 +29,11 @@ pub struct PluginTable {
 }
 
 impl PluginTable {
+    /// A type without further keys, not resolved yet: for defaults.
+    pub(crate) fn of_type(name: &str) -> Self {
+        Self { table: toml::Table::from_iter([("type".to_string(), toml::Value::from(name))]), library: None }
+    }
+
     /// Reads a file that holds one such table and nothing else, and resolves it; `path` is for messages.
     ///
     /// # Errors
@@ -159,6 +165,14 @@ impl PluginTable {
     /// As [`PluginTable::body`].
     pub fn segmenter(&self, files: &dyn Files) -> Result<Box<dyn Segmenter>> {
         self.spec::<dyn SegmenterSpec>("segmenter")?.build(files)
+    }
+
+    /// Makes the source of garment templates.
+    ///
+    /// # Errors
+    /// As [`PluginTable::body`].
+    pub fn template(&self, files: &dyn Files) -> Result<Box<dyn TemplateSource>> {
+        self.spec::<dyn TemplateSpec>("template")?.build(files)
     }
 }
 

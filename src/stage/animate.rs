@@ -61,7 +61,8 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Fi
     let scene = Scene::new(context, subject)?;
     let config = &context.config.animate;
     let fps = avatar.garments.first().map_or(context.config.motion.fps, |g| g.fps);
-    let mut clip = motion::load(context.files, &config.clip, fps, &scene.rest_joints[0])?;
+    // Whatever a clip holds is played.
+    let mut clip = motion::load(context.files, &config.clip, None, fps, &scene.rest_joints[0])?.clip;
     clip.poses.truncate((config.seconds * fps).ceil() as usize + 1);
     let track = scene.track(&clip.poses)?;
     let mut played = Vec::new();

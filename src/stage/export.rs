@@ -4,12 +4,13 @@ use super::animate::Film;
 use super::preprocess::Subject;
 use super::train::Nets;
 use super::{Context, StageOutput};
+use crate::moving::{self, MovingFigure, MovingFormat, MovingGarment};
 use crate::scene::Scene;
+use caphy_core::body::BodyModel;
+use caphy_core::motion::MotionClip;
 use caphy_core::{Result, TriMesh, Vec3};
-use caphy_formats::glb::{GlbColour, GlbInterpolation, GlbMesh, GlbMotion, GlbScene, GlbSkin, write_glb};
 use caphy_formats::obj::write_obj;
 use caphy_formats::weights::write_safetensors;
-use caphy_render::shade::{CLAY_LOWER, CLAY_SKIN, CLAY_UPPER};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -29,8 +30,9 @@ impl StageOutput for Exported {
 /// Writes `export/`.
 pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets, film: &Film) -> Result<Exported> {
     let scene = Scene::new(context, subject)?;
-    let mut files = Vec::new();
-    let mut put = |name: String, bytes: Vec<u8>| -> Result<()> {
+    let figure = Played { scene: &scene, subject, film };
+    let mut files: Vec<PathBuf> = Vec::new();
+    let put = |files: &mut Vec<PathBuf>, name: String, bytes: Vec<u8>| -> Result<()> {
         context.write(&name, &bytes)?;
         files.push(name.into());
         Ok(())
@@ -38,15 +40,17 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets, film: &Film)
     let frames = film.clip.poses.len();
     for frame in (0..frames).step_by(context.config.animate.obj_every) {
         context.progress.set(frame as f64 / frames as f64, "OBJ");
-        let posed = scene.body.forward(&scene.subject.posed(&film.clip.poses[frame]))?;
-        let body = TriMesh { vertices: posed.vertices, faces: scene.rest.faces.clone() };
-        put(format!("export/obj/body_{frame:05}.obj"), write_obj(&body, None)?)?;
+        let body = TriMesh { vertices: figure.body_frame(frame)?, faces: scene.rest.faces.clone() };
+        put(&mut files, format!("export/obj/body_{frame:05}.obj"), write_obj(&body, None)?)?;
         for (garment, played) in subject.garments.iter().zip(&film.garments) {
             let mesh = TriMesh { vertices: played.vertices(frame), faces: garment.mesh.faces.clone() };
-            put(format!("export/obj/{}_{frame:05}.obj", garment.kind), write_obj(&mesh, None)?)?;
+            put(&mut files, format!("export/obj/{}_{frame:05}.obj", garment.kind), write_obj(&mesh, None)?)?;
         }
     }
-    put("export/avatar.glb".into(), glb(&scene, subject, film)?)?;
+    for path in moving::write(&figure, MovingFormat::Glb, &context.folder.join("export"))? {
+        let relative = path.strip_prefix(context.folder).unwrap_or(&path);
+        files.push(relative.into());
+    }
     for trained in &avatar.garments {
         let tensors: Vec<(&str, &[usize], &[f32])> = trained
             .manifest
@@ -60,45 +64,38 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets, film: &Film)
             ("metres_per_unit", trained.output_scale_m.to_string()),
         ];
         let bytes = write_safetensors(&tensors, &facts.map(|(k, v)| (k.to_string(), v)).into())?;
-        put(format!("export/{}.safetensors", trained.kind), bytes)?;
+        put(&mut files, format!("export/{}.safetensors", trained.kind), bytes)?;
     }
     Ok(Exported { files })
 }
 
-/// The moving avatar: the body skinned by its joints, each garment with its vertices per frame.
-fn glb(scene: &Scene, subject: &Subject, film: &Film) -> Result<Vec<u8>> {
-    let description = scene.body.describe();
-    let joints = &description.joints;
-    let names: Vec<&str> = joints.iter().map(|j| j.name.as_str()).collect();
-    let parents: Vec<usize> = joints.iter().map(|j| j.parent.unwrap_or(0)).collect();
-    let mut weights = vec![0.0; description.vertex_count * joints.len()];
-    for v in 0..description.vertex_count {
-        for (joint, weight) in description.weights.row(v) {
-            weights[v * joints.len() + joint] += weight;
-        }
+/// The avatar as it was played.
+struct Played<'a> {
+    scene: &'a Scene,
+    subject: &'a Subject,
+    film: &'a Film,
+}
+
+impl MovingFigure for Played<'_> {
+    fn body(&self) -> &dyn BodyModel {
+        &*self.scene.body
     }
-    let skin = GlbSkin {
-        names: &names,
-        parents: &parents,
-        joints: &scene.rest_joints,
-        weights: &weights,
-        poses: &film.clip.poses,
-    };
-    let frames: Vec<Vec<Vec<Vec3>>> =
-        film.garments.iter().map(|g| (0..g.frames.len()).map(|f| g.vertices(f)).collect()).collect();
-    let mut meshes = vec![GlbMesh {
-        name: "body".into(),
-        mesh: &scene.rest,
-        colour: GlbColour::Uniform(CLAY_SKIN),
-        motion: GlbMotion::Skinned(skin),
-    }];
-    for ((garment, frames), colour) in subject.garments.iter().zip(&frames).zip([CLAY_UPPER, CLAY_LOWER]) {
-        meshes.push(GlbMesh {
-            name: garment.kind.to_string(),
-            mesh: &garment.mesh,
-            colour: GlbColour::Uniform(colour),
-            motion: GlbMotion::Vertices(frames),
-        });
+    fn rest(&self) -> &TriMesh {
+        &self.scene.rest
     }
-    write_glb(&GlbScene { fps: film.clip.fps, interpolation: GlbInterpolation::Linear, meshes })
+    fn rest_joints(&self) -> Result<Vec<Vec3>> {
+        Ok(self.scene.rest_joints.clone())
+    }
+    fn clip(&self) -> &MotionClip {
+        &self.film.clip
+    }
+    fn body_frame(&self, frame: usize) -> Result<Vec<Vec3>> {
+        Ok(self.scene.body.forward(&self.scene.subject.posed(&self.film.clip.poses[frame]))?.vertices)
+    }
+    fn garments(&self) -> Vec<MovingGarment<'_>> {
+        self.subject.garments.iter().map(|g| MovingGarment { kind: g.kind, mesh: &g.mesh }).collect()
+    }
+    fn garment_frame(&self, garment: usize, frame: usize) -> Result<Vec<Vec3>> {
+        Ok(self.film.garments[garment].vertices(frame))
+    }
 }

@@ -16,6 +16,7 @@ use crate::artifact;
 use crate::config::{Config, ScansConfig};
 use crate::files::ProjectFiles;
 use crate::progress::Progress;
+use caphy_core::files::Files;
 use caphy_core::material::MaterialModel;
 use caphy_core::scan::Scan;
 use caphy_core::{Error, Result};

@@ -12,10 +12,9 @@ use caphy_core::body::{BodyModel, BodyParameters, PosedBody};
 use caphy_core::pose::Pose;
 use caphy_core::scan::{Label, LabelledPoints, Scan};
 use caphy_core::{Error, Result, TriMesh, Vec3};
-use caphy_garment::skinning::{WeightOptions, garment_weights};
+use caphy_garment::skinning::garment_weights;
 use caphy_garment::template::{
-    BodyRest, ChooseOptions, GarmentKind, Tailor, Template, choose_template, pose_by_nearest_vertex, refine_style,
-    sample_styles,
+    BodyRest, ChooseOptions, GarmentKind, Tailor, Template, choose_template, pose_by_nearest_vertex, refine, templates,
 };
 use caphy_render::Layer;
 use caphy_segmentation::fusion::{FusionReport, FusionSettings, label_scan};
@@ -193,7 +192,7 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
             &template.mesh.faces,
             &rest_vertices,
             &body.describe().weights,
-            &WeightOptions::default(),
+            &garment_config(context.config, kind).weights,
         )?;
         subject.choices.push(choice);
         subject.garments.push(FittedGarment {
@@ -261,13 +260,14 @@ fn choose(
         GarmentKind::Lower => thin(&standard.points.with_label(Label::Upper).0, CANDIDATE_POINTS),
     };
     let options = ChooseOptions { covered_by: &cover };
-    let styles = sample_styles(kind, settings.styles, context.config.run.seed);
-    let candidates = tailor.generate_all(&styles, CANDIDATE_RESOLUTION)?;
+    let source = settings.template.template(context.files)?;
+    let styles = source.styles(tailor, kind, settings.styles, context.config.run.seed)?;
+    let candidates = templates(&*source, tailor, &styles, CANDIDATE_RESOLUTION)?;
     let shapes = candidates.iter().map(pose).collect::<Result<Vec<_>>>()?;
     let choice = choose_template(&shapes, &points, &options)?;
     let best = &candidates[choice.index];
-    let refined = refine_style(tailor, &best.style, CANDIDATE_RESOLUTION, &points, &options, REFINEMENTS, pose)?;
-    let template = tailor.generate(&refined.style, settings.resolution_m)?;
+    let refined = refine(&*source, tailor, &best.style, CANDIDATE_RESOLUTION, &points, &options, REFINEMENTS, pose)?;
+    let template = source.template(tailor, &refined.style, settings.resolution_m)?;
     let mut all: Vec<f64> = choice.report.iter().map(|c| c.squared * 1e6).collect();
     all.sort_by(f64::total_cmp);
     let report = TemplateChoice {

@@ -139,7 +139,7 @@ pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
         .into_iter()
         .map(|(index, _, relaxation, material)| TrueGarment {
             kind: templates[index].kind,
-            style: templates[index].style,
+            style: templates[index].style.clone(),
             parameters: material.parameters().iter().map(|p| p.value).collect(),
             area_m2: templates[index].area(),
             relaxation,
@@ -153,7 +153,7 @@ fn fitted(template: &Template, body: &TriMesh, weights: &caphy_core::body::Blend
     let mesh = &template.mesh;
     Ok(FittedGarment {
         kind: template.kind,
-        style: template.style,
+        style: template.style.clone(),
         weights: garment_weights(&mesh.vertices, &mesh.faces, &body.vertices, weights, &WeightOptions::default())?,
         mesh: mesh.clone(),
         material_uv: template.material_uv.clone(),

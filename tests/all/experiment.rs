@@ -5,6 +5,7 @@ use caphy::runner::{Run, Summary};
 use caphy_core::Result;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
@@ -112,4 +113,23 @@ pub(crate) fn value<T: DeserializeOwned>(out: &Path, stage: &str) -> T {
     let path = out.join(format!("{stage}.caphy"));
     let key = header(&path).key;
     artifact::load::<T>(&path, stage, &key).expect("a sound artifact").expect("the artifact of this key").0
+}
+
+/// The folder with shared data, when it is there.
+pub(crate) fn shared() -> Option<PathBuf> {
+    let folder = std::env::var_os("CAPHY_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
+    for needed in ["data/scans/ground_truth.npz", "data/body/anny_smplx_layout.npz", "data/mocap/cmu_35_01_smplh.npz"] {
+        let path = folder.join(needed);
+        if !path.exists() {
+            // Straight to the terminal: what the print macros write is only shown for tests that fail.
+            let _ = writeln!(
+                std::io::stderr(),
+                "SKIPPED: {} is missing; set CAPHY_SHARED to the folder that holds data/",
+                path.display()
+            );
+            return None;
+        }
+    }
+    Some(std::fs::canonicalize(folder).expect("the shared folder"))
 }

@@ -8,6 +8,8 @@ mod commands;
 mod config;
 /// Very small experiments in folders of their own.
 mod experiment;
+/// Bodies, garments and motion, shown and played.
+mod inputs;
 /// From scans to report: results, resuming, same bits.
 mod pipeline;
 /// Plugin libraries in the whole program.

@@ -1,6 +1,6 @@
 //! The whole road on the stand-in scans (`data/scans`), with a body and motion that nobody here made, at low resolution.
 
-use crate::experiment::{Experiment, value};
+use crate::experiment::{Experiment, shared, value};
 use caphy::config::Config;
 use caphy::files::ProjectFiles;
 use caphy::stage::animate::Film;
@@ -10,27 +10,7 @@ use caphy_core::Vec3;
 use caphy_core::body::BodyParameters;
 use caphy_formats::npz::Npz;
 use caphy_formats::ply::read_ply;
-use std::io::Write;
-use std::path::{Path, PathBuf};
-
-/// The folder with shared data, when it is there.
-fn shared() -> Option<PathBuf> {
-    let folder = std::env::var_os("CAPHY_SHARED")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"), PathBuf::from);
-    for needed in ["data/scans/ground_truth.npz", "data/body/anny_smplx_layout.npz", "data/mocap/cmu_35_01_smplh.npz"] {
-        let path = folder.join(needed);
-        if !path.exists() {
-            // Straight to the terminal: what the print macros write is only shown for tests that fail.
-            let _ = writeln!(
-                std::io::stderr(),
-                "SKIPPED: {} is missing; set CAPHY_SHARED to the folder that holds data/",
-                path.display()
-            );
-            return None;
-        }
-    }
-    Some(std::fs::canonicalize(folder).expect("the shared folder"))
-}
+use std::path::Path;
 
 /// Low resolution everywhere but in the registration, whose result is measured.
 fn config(shared: &Path) -> String {

@@ -1,8 +1,22 @@
-//! Motion clips: poses at a steady rate.
+//! Motion clips: poses at a steady rate, from the file's frames to windows of sound motion.
+
+mod limits;
+mod preparation;
+mod screening;
+mod smoothing;
+mod windows;
+
+pub use limits::{MotionLimits, joint_angles, joint_range};
+pub use preparation::{ClipFacts, ClipPreparation, JointFacts, PreparedClip};
+pub use screening::{MotionFinding, MotionProblem, MotionScreening};
+pub use windows::{MotionWindows, WindowReport, WindowStart, sort_clips};
 
 use crate::pose::Pose;
 use crate::{Error, Result};
 use serde::{Deserialize, Serialize};
+
+/// Most frames that resampling makes: 37 hours at 30 frames per second. More is a slip of the unit.
+const MOST_FRAMES: f64 = 4e6;
 
 /// A clip of poses in SMPL-X joint order, y up.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -54,8 +68,20 @@ impl MotionClip {
         let i = (x.floor() as usize).min(last);
         if i == last { self.poses[last].clone() } else { self.poses[i].interpolate(&self.poses[i + 1], x - i as f64) }
     }
-    /// The same motion at another rate, resampled by time (never by dropping every n-th frame).
+    /// The same motion at another rate, resampled by time (never by dropping every n-th frame). The first frame stays; the last
+    /// is the last that the clip still reaches.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a rate that is not positive and finite, or that would give more than four million frames.
     pub fn resampled(&self, fps: f64) -> Result<MotionClip> {
+        if !(fps.is_finite() && fps > 0.0) || self.duration() * fps > MOST_FRAMES {
+            let problem = format!("{fps} 1/s for the clip `{}` of {} s", self.name, self.duration());
+            return Err(Error::config(
+                "fps",
+                problem,
+                format!("give a positive rate, and at most {MOST_FRAMES} frames"),
+            ));
+        }
         // A rate like 59.99999 must not lose the last frame to rounding.
         let count = (self.duration() * fps + 1e-3).floor() as usize + 1;
         MotionClip::new(self.name.clone(), fps, (0..count).map(|i| self.at(i as f64 / fps)).collect())
@@ -80,6 +106,33 @@ mod tests {
         let slow = clip.resampled(30.0).unwrap();
         assert_eq!(slow.poses.len(), 31);
         assert!((slow.poses[15].rotations[1].x - 0.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn both_ends_stay_at_rates_that_are_almost_whole() {
+        for (rate, frames, kept) in [(59.99999, 121, 61), (60.00001, 121, 61), (29.97, 100, 100), (120.00048, 994, 249)]
+        {
+            let poses = (0..frames).map(|i| Pose { translation: Vec3::x() * i as f64, ..Pose::rest(1) }).collect();
+            let clip = MotionClip::new("way", rate, poses).unwrap();
+            let slow = clip.resampled(30.0).unwrap();
+            assert_eq!(slow.poses.len(), kept, "{rate}");
+            assert_eq!(slow.poses[0], clip.poses[0]);
+            for (i, pose) in slow.poses.iter().enumerate() {
+                // Where the clip is at that time; its end may lie a rounding before it.
+                let wanted = (i as f64 * rate / 30.0).min((frames - 1) as f64);
+                assert!((pose.translation.x - wanted).abs() < 1e-9, "{rate}: {i}");
+            }
+        }
+        let one = MotionClip::new("one", 60.0, vec![Pose::rest(1)]).unwrap();
+        assert_eq!(one.resampled(30.0).unwrap().poses.len(), 1);
+        // Up and down again: the old frames are among the new.
+        let poses = (0..9).map(|i| Pose { translation: Vec3::x() * (i * i) as f64, ..Pose::rest(1) }).collect();
+        let clip = MotionClip::new("up", 30.0, poses).unwrap();
+        let back = clip.resampled(120.0).unwrap().resampled(30.0).unwrap();
+        assert!(clip.poses.iter().zip(&back.poses).all(|(a, b)| (a.translation - b.translation).norm() < 1e-9));
+        for bad in [0.0, -30.0, f64::NAN, f64::INFINITY, 1e12] {
+            assert!(clip.resampled(bad).unwrap_err().to_string().contains("fps"), "{bad}");
+        }
     }
 
     #[test]

@@ -162,7 +162,9 @@ impl Pose {
     /// needs the pelvis's rest position, as `pelvis` [m].
     pub fn rotate_world(&mut self, rotation: &Rotation3<f64>, pelvis: &Vec3) {
         if let Some(root) = self.rotations.first_mut() {
-            *root = (rotation * Rotation3::from_scaled_axis(*root)).scaled_axis();
+            // As quaternions: the angle of a matrix is known to 1e-8 only where it is small.
+            *root = (UnitQuaternion::from_rotation_matrix(rotation) * UnitQuaternion::from_scaled_axis(*root))
+                .scaled_axis();
         }
         self.translation = rotation * (pelvis + self.translation) - pelvis;
     }
@@ -190,5 +192,18 @@ mod tests {
         let middle = a.interpolate(&b, 0.5).rotations[0];
         assert!((middle.norm() - std::f64::consts::PI).abs() < 1e-9);
         assert!((a.interpolate(&b, 0.0).rotations[0] - a.rotations[0]).norm() < 1e-12);
+        // The same rotation by two vectors, whose quaternions are opposite: nothing moves in between.
+        a.rotations[0] = Vec3::new(1.0, 0.0, 0.0);
+        b.rotations[0] = Vec3::new(1.0 - std::f64::consts::TAU, 0.0, 0.0);
+        for t in [0.0, 0.3, 0.5, 1.0] {
+            assert!((a.interpolate(&b, t).rotations[0] - a.rotations[0]).norm() < 1e-12, "{t}");
+        }
+        // Half a turn apart has no shorter way: any of the two, at the steady pace.
+        b.rotations[0] = Vec3::new(1.0 + std::f64::consts::PI, 0.0, 0.0);
+        let turn = |p: &Pose| UnitQuaternion::from_scaled_axis(p.rotations[0]);
+        for t in [0.25, 0.5] {
+            let angle = turn(&a).angle_to(&turn(&a.interpolate(&b, t)));
+            assert!((angle - t * std::f64::consts::PI).abs() < 1e-9, "{t}: {angle}");
+        }
     }
 }

@@ -3,19 +3,19 @@
 //! Files say where the pelvis is; a [`Pose`](caphy_core::pose::Pose) says what is added to a body whose pelvis is where
 //! its shape puts it. Readers therefore take the rest pelvis of the body that will be moved.
 
-mod amass;
 mod asf_amc;
 mod axes;
 mod bvh;
 mod mapping;
 mod retarget;
+mod smpl_npz;
 mod text;
 
-pub use amass::{AmassTranslation, read_amass_npz, read_amass_npz_as};
 pub use asf_amc::read_asf_amc;
 pub use axes::UpAxis;
 pub use bvh::read_bvh;
 pub use mapping::{SkeletonMapping, SkeletonRest};
+pub use smpl_npz::{SmplNpzOptions, TranslationMeaning, read_smpl_npz};
 
 use caphy_core::motion::MotionClip;
 use caphy_core::pose::Pose;

@@ -3,9 +3,12 @@
 
 mod support;
 
+use caphy_core::motion::MotionClip;
 use caphy_core::scan::{Label, Scan};
 use caphy_core::{Result, TriMesh, Vec3};
-use caphy_formats::motion::{SkeletonMapping, read_amass_npz, read_asf_amc, read_bvh};
+use caphy_formats::motion::{
+    SkeletonMapping, SmplNpzOptions, TranslationMeaning, read_asf_amc, read_bvh, read_smpl_npz,
+};
 use caphy_formats::npz::Npz;
 use caphy_formats::obj::{read_obj, write_obj};
 use caphy_formats::ply::{read_ply, write_ply};
@@ -178,6 +181,11 @@ fn npz() {
     }
 }
 
+/// A clip in AMASS's layout.
+fn read_amass(bytes: Vec<u8>, pelvis: &Vec3) -> Result<MotionClip> {
+    read_smpl_npz(Path::new("clip.npz"), bytes, &SmplNpzOptions::amass(TranslationMeaning::PelvisPosition), pelvis)
+}
+
 #[test]
 fn amass() {
     let floats = |n: usize| (0..n).flat_map(|i| (1e-3 * i as f32).to_le_bytes()).collect::<Vec<u8>>();
@@ -186,7 +194,7 @@ fn amass() {
         ("trans", support::npy("<f4", false, "(1, 3)", &floats(3))),
         ("mocap_framerate", support::npy("<f8", false, "()", &120f64.to_le_bytes())),
     ];
-    let read = |bytes: &[u8]| read_amass_npz(Path::new("clip.npz"), bytes.to_vec(), &Vec3::zeros());
+    let read = |bytes: &[u8]| read_amass(bytes.to_vec(), &Vec3::zeros());
     for deflated in [false, true] {
         let whole = support::archive(&entries, deflated);
         let cuts = Damage { file: "clip.npz", whole: &whole, read: &read }.all();
@@ -253,8 +261,7 @@ fn numbers_that_overflow_are_errors_of_the_file() {
         ("mocap_framerate", support::npy("<f8", false, "()", &120f64.to_le_bytes())),
     ];
     let pelvis = Vec3::new(-huge, -huge, -huge);
-    let text =
-        read_amass_npz(Path::new("clip.npz"), support::archive(&entries, false), &pelvis).unwrap_err().to_string();
+    let text = read_amass(support::archive(&entries, false), &pelvis).unwrap_err().to_string();
     assert!(text.contains("clip.npz") && text.contains("frame 0"), "{text}");
 }
 

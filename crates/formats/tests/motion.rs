@@ -5,7 +5,7 @@ mod support;
 use caphy_core::motion::MotionClip;
 use caphy_core::pose::{Pose, SMPLX_PARENTS, smplx_joint};
 use caphy_core::{Result, Vec3};
-use caphy_formats::motion::{AmassTranslation, SkeletonMapping, read_amass_npz, read_amass_npz_as, read_asf_amc};
+use caphy_formats::motion::{SkeletonMapping, SmplNpzOptions, TranslationMeaning, UpAxis, read_asf_amc, read_smpl_npz};
 use nalgebra::UnitQuaternion;
 use npyz::WriterBuilder;
 use npyz::npz::NpzWriter;
@@ -13,6 +13,11 @@ use std::io::Cursor;
 use std::path::Path;
 
 const PELVIS: Vec3 = Vec3::new(0.01, -0.35, 0.02);
+
+/// A clip of the shared folder: AMASS's layout, pelvis positions.
+fn read_amass_npz(path: &Path, bytes: Vec<u8>, pelvis: &Vec3) -> Result<MotionClip> {
+    read_smpl_npz(path, bytes, &SmplNpzOptions::amass(TranslationMeaning::PelvisPosition), pelvis)
+}
 
 fn turn(v: Vec3) -> UnitQuaternion<f64> {
     UnitQuaternion::from_scaled_axis(v)
@@ -79,25 +84,33 @@ fn smplx_clips_are_read() {
     }
 }
 
-fn amass(width: u64, rate: &str, fps: f64, fill: impl Fn(usize) -> f64, trans_frames: u64) -> Vec<u8> {
+/// Name, shape, values.
+type Entry = (&'static str, Vec<u64>, Vec<f64>);
+
+fn archive(entries: Vec<Entry>) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     {
         let mut w = NpzWriter::new(&mut bytes);
-        let mut put = |name: &str, shape: &[u64], values: Vec<f64>| {
+        for (name, shape, values) in entries {
             w.array(name, Default::default())
                 .unwrap()
                 .default_dtype()
-                .shape(shape)
+                .shape(&shape)
                 .begin_nd()
                 .unwrap()
                 .extend(values)
                 .unwrap();
-        };
-        put("poses", &[2, width], (0..2 * width as usize).map(fill).collect());
-        put("trans", &[trans_frames, 3], (0..3 * trans_frames).map(|i| i as f64).collect());
-        put(rate, &[], vec![fps]);
+        }
     }
     bytes.into_inner()
+}
+
+fn amass(width: u64, rate: &'static str, fps: f64, fill: impl Fn(usize) -> f64, trans_frames: u64) -> Vec<u8> {
+    archive(vec![
+        ("poses", vec![2, width], (0..2 * width as usize).map(fill).collect()),
+        ("trans", vec![trans_frames, 3], (0..3 * trans_frames).map(|i| i as f64).collect()),
+        (rate, vec![], vec![fps]),
+    ])
 }
 
 #[test]
@@ -119,7 +132,9 @@ fn both_widths_both_rate_keys() {
 #[test]
 fn the_two_meanings_of_trans_put_the_pelvis_alike() {
     let bytes = || amass(165, "mocap_framerate", 30.0, |_| 0.0, 2);
-    let offset = read_amass_npz_as(Path::new("x.npz"), bytes(), &PELVIS, AmassTranslation::BodyOffset).unwrap();
+    let offset =
+        read_smpl_npz(Path::new("x.npz"), bytes(), &SmplNpzOptions::amass(TranslationMeaning::BodyOffset), &PELVIS)
+            .unwrap();
     // The file's body, z up, has its pelvis at trans + rest pelvis; both turn into the y-up world together.
     let rest = Vec3::new(0.01, -0.35, 0.02);
     let place = Vec3::new(0.0, 1.0, 2.0) + rest;
@@ -134,7 +149,7 @@ fn bad_clips_are_refused_with_place_and_value() {
     let read = |bytes: Vec<u8>| read_amass_npz(Path::new("clip.npz"), bytes, &PELVIS).unwrap_err().to_string();
     let zero = |_: usize| 0.0;
     for (text, words) in [
-        (read(amass(72, "mocap_framerate", 30.0, zero, 2)), ["clip.npz", "poses", "72"]),
+        (read(amass(75, "mocap_framerate", 30.0, zero, 2)), ["clip.npz", "poses", "75"]),
         (read(amass(165, "rate", 30.0, zero, 2)), ["clip.npz", "mocap_frame_rate", "rate"]),
         (read(amass(165, "mocap_framerate", 0.0, zero, 2)), ["clip.npz", "mocap_framerate", "0"]),
         (read(amass(165, "mocap_framerate", 30.0, zero, 3)), ["clip.npz", "trans", "[3, 3]"]),
@@ -144,6 +159,177 @@ fn bad_clips_are_refused_with_place_and_value() {
         ),
     ] {
         assert!(words.iter().all(|w| text.contains(w)), "{text}");
+    }
+}
+
+/// `count` numbers from `first` on, in thousandths.
+fn numbers(first: usize, count: usize) -> Vec<f64> {
+    (first..first + count).map(|i| 1e-3 * i as f64).collect()
+}
+
+/// The parts of a clip of one frame, by two sets of names, and the same as one array.
+fn parts() -> [Vec<Entry>; 3] {
+    let trans = |name| (name, vec![1, 3], vec![0.1, 0.2, 0.3]);
+    let rate = || ("fps", vec![1], vec![25.0]);
+    [
+        vec![
+            ("root_orient", vec![1, 3], numbers(0, 3)),
+            ("pose_body", vec![1, 63], numbers(3, 63)),
+            ("pose_jaw", vec![1, 3], numbers(66, 3)),
+            ("pose_eye", vec![1, 6], numbers(69, 6)),
+            ("pose_hand", vec![1, 90], numbers(75, 90)),
+            trans("trans"),
+            rate(),
+        ],
+        vec![
+            ("global_orient", vec![1, 1, 3], numbers(0, 3)),
+            ("body_pose", vec![1, 21, 3], numbers(3, 63)),
+            ("jaw_pose", vec![1, 3], numbers(66, 3)),
+            ("leye_pose", vec![1, 3], numbers(69, 3)),
+            ("reye_pose", vec![1, 3], numbers(72, 3)),
+            ("left_hand_pose", vec![1, 45], numbers(75, 45)),
+            ("right_hand_pose", vec![1, 45], numbers(120, 45)),
+            trans("transl"),
+            rate(),
+        ],
+        vec![("poses", vec![1, 165], numbers(0, 165)), trans("trans"), rate()],
+    ]
+}
+
+const TRACKED: SmplNpzOptions =
+    SmplNpzOptions { up: UpAxis::Y, translation: TranslationMeaning::BodyOffset, fps: None };
+
+fn tracked(entries: Vec<Entry>, options: SmplNpzOptions) -> Result<MotionClip> {
+    read_smpl_npz(Path::new("track.npz"), archive(entries), &options, &PELVIS)
+}
+
+#[test]
+fn parts_by_either_name_are_the_whole() {
+    let [amass, smplx, whole] = parts().map(|entries| tracked(entries, TRACKED).unwrap());
+    assert_eq!(amass, whole);
+    assert_eq!(smplx, whole);
+    let pose = &whole.poses[0];
+    assert_eq!((whole.fps, whole.name.as_str()), (25.0, "track"));
+    for (j, r) in pose.rotations.iter().enumerate() {
+        assert!((r - Vec3::from_vec(numbers(3 * j, 3))).norm() < 1e-15, "{j}");
+    }
+    assert!((pose.translation - Vec3::new(0.1, 0.2, 0.3)).norm() < 1e-15, "y up stays as it is");
+    let own = tracked(parts()[2].clone(), SmplNpzOptions { fps: Some(50.0), ..TRACKED }).unwrap();
+    assert_eq!(own.fps, 50.0);
+}
+
+#[test]
+fn smpl_bodies_turn_their_fingers_with_their_hands() {
+    let [_, _, mut entries] = parts();
+    entries[0] = ("poses", vec![1, 72], numbers(0, 72));
+    let pose = &tracked(entries.clone(), TRACKED).unwrap().poses[0];
+    for j in 0..55 {
+        let wanted = match j {
+            0..22 => Vec3::from_vec(numbers(3 * j, 3)),
+            25 | 28 | 31 | 34 => Vec3::from_vec(numbers(66, 3)),
+            40 | 43 | 46 | 49 => Vec3::from_vec(numbers(69, 3)),
+            _ => Vec3::zeros(),
+        };
+        assert!((pose.rotations[j] - wanted).norm() < 1e-15, "{j}");
+    }
+    // The same as root and body, and as matrices.
+    let matrices = pose.rotations[..22]
+        .iter()
+        .chain([&pose.rotations[25], &pose.rotations[40]])
+        .flat_map(|r| nalgebra::Rotation3::from_scaled_axis(*r).into_inner().transpose().as_slice().to_vec());
+    let matrices: Vec<f64> = matrices.collect();
+    entries[0] = ("poses", vec![1, 24, 3, 3], matrices.clone());
+    let [_, mut split, _] = parts();
+    split.truncate(1);
+    split.extend([("body_pose", vec![1, 69], numbers(3, 69)), entries[1].clone(), entries[2].clone()]);
+    let mut both = entries.clone();
+    both[0] = ("global_orient", vec![1, 3, 3], matrices[..9].to_vec());
+    both.push(("body_pose", vec![1, 23, 3, 3], matrices[9..].to_vec()));
+    for entries in [entries, split, both] {
+        let other = &tracked(entries, TRACKED).unwrap().poses[0];
+        assert!(pose.rotations.iter().zip(&other.rotations).all(|(a, b)| (a - b).norm() < 1e-12));
+    }
+}
+
+#[test]
+fn every_up_axis_stands_upright() {
+    // A body with its feet below its pelvis in the file's world, facing as that world's turn to y up says.
+    for (up, down) in [(UpAxis::Y, [0.0, -1.0, 0.0]), (UpAxis::MinusY, [0.0, 1.0, 0.0]), (UpAxis::Z, [0.0, 0.0, -1.0])]
+    {
+        let turned = up.to_y_up().inverse();
+        let root = turned.scaled_axis();
+        let entries = vec![
+            ("global_orient", vec![1, 3], root.as_slice().to_vec()),
+            ("body_pose", vec![1, 63], vec![0.0; 63]),
+            // One metre above the origin.
+            ("transl", vec![1, 3], down.map(|x: f64| -x).to_vec()),
+            ("fps", vec![], vec![30.0]),
+        ];
+        let options = SmplNpzOptions { up, translation: TranslationMeaning::PelvisPosition, fps: None };
+        let pose = &tracked(entries, options).unwrap().poses[0];
+        assert!(pose.rotations[0].norm() < 1e-12, "{up:?}: upright, facing +z");
+        assert!((pose.translation + PELVIS - Vec3::y()).norm() < 1e-12, "{up:?}");
+    }
+}
+
+#[test]
+fn bad_parameters_are_refused_with_place_and_value() {
+    let [amass, smplx, whole] = parts();
+    let with = |mut entries: Vec<Entry>, name: &str, entry: Option<Entry>| {
+        let at = entries.iter().position(|e| e.0 == name).unwrap();
+        match entry {
+            Some(entry) => entries[at] = entry,
+            None => drop(entries.remove(at)),
+        }
+        tracked(entries, TRACKED).unwrap_err().to_string()
+    };
+    let mut nan = numbers(0, 63);
+    nan[5] = f64::NAN;
+    for (text, words) in [
+        (with(amass.clone(), "root_orient", None), ["no pose", "root_orient"]),
+        (with(amass.clone(), "pose_body", None), ["no pose", "pose_body"]),
+        (with(amass.clone(), "trans", None), ["no translation", "transl"]),
+        (with(amass.clone(), "fps", None), ["no frame rate", "mocap_framerate"]),
+        (with(amass.clone(), "fps", Some(("fps", vec![2], vec![30.0; 2]))), ["`fps`", "[2]"]),
+        (with(amass.clone(), "fps", Some(("fps", vec![], vec![-1.0]))), ["`fps`", "-1"]),
+        (with(amass.clone(), "pose_body", Some(("pose_body", vec![1, 60], numbers(0, 60)))), ["`pose_body`", "60"]),
+        (with(amass.clone(), "pose_body", Some(("pose_body", vec![63], numbers(0, 63)))), ["`pose_body`", "[63]"]),
+        (
+            with(amass.clone(), "pose_body", Some(("pose_body", vec![2, 63], numbers(0, 126)))),
+            ["`pose_body`", "2 frames"],
+        ),
+        (with(amass.clone(), "pose_body", Some(("pose_body", vec![1, 63], nan))), ["`pose_body`, frame 0", "column 5"]),
+        (with(amass.clone(), "pose_body", Some(("pose_body", vec![], vec![0.0]))), ["`pose_body`", "[]"]),
+        (
+            with(smplx, "left_hand_pose", Some(("left_hand_pose", vec![1, 6], numbers(0, 6)))),
+            ["`left_hand_pose`", "PCA"],
+        ),
+        (with(whole.clone(), "poses", Some(("poses", vec![0, 165], vec![]))), ["[1, 3]", "0 frames"]),
+        (
+            with(whole.clone(), "poses", Some(("poses", vec![1, 24, 3, 3], vec![0.5; 216]))),
+            ["`poses`, frame 0, rotation 0", "no rotation"],
+        ),
+        (
+            with(whole, "trans", Some(("trans", vec![1, 3], vec![0.0, f64::INFINITY, 0.0]))),
+            ["`trans`, frame 0", "column 1 is inf"],
+        ),
+    ] {
+        assert!(text.contains("track.npz") && words.iter().all(|w| text.contains(w)), "{text}");
+    }
+    let none: Vec<Entry> =
+        vec![("poses", vec![0, 165], vec![]), ("trans", vec![0, 3], vec![]), ("fps", vec![], vec![30.0])];
+    assert!(tracked(none, TRACKED).unwrap_err().to_string().contains("0 frames"));
+    for fps in [0.0, f64::NAN] {
+        assert!(tracked(amass.clone(), SmplNpzOptions { fps: Some(fps), ..TRACKED }).is_err());
+    }
+    // Cut off anywhere: an error, not a panic. Every byte changed: no panic.
+    let bytes = archive(amass);
+    let read = |bytes: &[u8]| read_smpl_npz(Path::new("track.npz"), bytes.to_vec(), &TRACKED, &PELVIS);
+    for cut in (0..bytes.len()).step_by(7) {
+        assert!(read(&bytes[..cut]).is_err());
+        let mut bad = bytes.clone();
+        bad[cut] ^= 0xff;
+        let _ = read(&bad);
     }
 }
 

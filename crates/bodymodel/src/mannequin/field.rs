@@ -1,6 +1,20 @@
 //! Implicit solids: lofts and ellipsoids whose value is a first-order distance [m], negative inside, and their blends.
 
 use caphy_core::Vec3;
+use nalgebra::{Matrix3, Rotation3};
+
+/// A solid of the figure.
+pub(super) trait Solid {
+    /// Distance [m], first order near the surface, negative inside.
+    fn distance(&self, p: &Vec3) -> f64;
+    /// Smallest and largest corner of what it fills [m].
+    fn bounds(&self) -> (Vec3, Vec3);
+    /// Union of `d` and this solid with a seam of width `k` [m]; a solid that is too far to matter is not evaluated.
+    fn join(&self, p: &Vec3, d: f64, k: f64) -> f64 {
+        let (low, high) = self.bounds();
+        if outside(p, &low, &high) >= d + k { d } else { smooth_min(d, self.distance(p), k) }
+    }
+}
 
 /// How far outside its box a solid is still evaluated [m]; farther away the distance to the box stands in.
 const MARGIN: f64 = 0.08;
@@ -57,8 +71,13 @@ impl Loft {
         }
         Self { axis, from, to, exponent, rounding, samples, low, high }
     }
-    /// Distance [m], first order near the surface.
-    pub(super) fn distance(&self, p: &Vec3) -> f64 {
+}
+
+impl Solid for Loft {
+    fn bounds(&self) -> (Vec3, Vec3) {
+        (self.low, self.high)
+    }
+    fn distance(&self, p: &Vec3) -> f64 {
         let far = outside(p, &self.low, &self.high);
         if far > MARGIN {
             return far;
@@ -67,9 +86,14 @@ impl Loft {
         let i = (x as usize).min(SAMPLES - 2);
         let t = x - i as f64;
         let s: [f64; 6] = std::array::from_fn(|k| self.samples[i][k] * (1.0 - t) + self.samples[i + 1][k] * t);
+        // Change of the sections along the axis.
+        let per_metre = (SAMPLES - 1) as f64 / (self.to - self.from);
+        let g: [f64; 6] = std::array::from_fn(|k| (self.samples[i + 1][k] - self.samples[i][k]) * per_metre);
         let (u, v) = (p[(self.axis + 1) % 3] - s[0], p[(self.axis + 2) % 3] - s[1]);
-        let (a, b) = (if u > 0.0 { s[2] } else { s[3] }, if v > 0.0 { s[4] } else { s[5] });
-        let side = superellipse(u.abs(), v.abs(), a, b, self.exponent);
+        let (a, da) = if u > 0.0 { (s[2], g[2]) } else { (s[3], g[3]) };
+        let (b, db) = if v > 0.0 { (s[4], g[4]) } else { (s[5], g[5]) };
+        let centre_rate = [g[0] * u.signum(), g[1] * v.signum()];
+        let side = superellipse([u.abs(), v.abs()], [a, b], centre_rate, [da, db], self.exponent);
         let end = (self.from - p[self.axis]).max(p[self.axis] - self.to);
         smooth_max(side, end, self.rounding)
     }
@@ -102,34 +126,55 @@ fn hermite(sections: &[Section], at: f64) -> [f64; 6] {
     })
 }
 
-/// (ρ - 1)/|∇ρ| for ρ = ((u/a)^n + (v/b)^n)^(1/n): the distance to first order.
-fn superellipse(u: f64, v: f64, a: f64, b: f64, n: f64) -> f64 {
-    let (x, y) = (u / a, v / b);
+/// (ρ - 1)/|∇ρ| for ρ = ((u/a)^n + (v/b)^n)^(1/n), with centre and radii changing along the axis at the given rates: the
+/// distance to first order.
+fn superellipse(at: [f64; 2], radii: [f64; 2], centre_rate: [f64; 2], radius_rate: [f64; 2], n: f64) -> f64 {
+    let [x, y] = [0, 1].map(|k| at[k] / radii[k]);
     let rho = if n == 2.0 { x.hypot(y) } else { (x.powf(n) + y.powf(n)).powf(1.0 / n) };
     if rho < 0.2 {
-        return (rho - 1.0) * a.min(b);
+        return (rho - 1.0) * radii[0].min(radii[1]);
     }
-    let (gx, gy) = ((x / rho).powf(n - 1.0) / a, (y / rho).powf(n - 1.0) / b);
-    (rho - 1.0) / gx.hypot(gy)
+    let power = |t: f64| if n == 2.0 { t / rho } else { (t / rho).powf(n - 1.0) };
+    let across = [power(x) / radii[0], power(y) / radii[1]];
+    let along: f64 = (0..2).map(|k| across[k] * (centre_rate[k] + [x, y][k] * radius_rate[k])).sum();
+    (rho - 1.0) / (across[0] * across[0] + across[1] * across[1] + along * along).sqrt()
 }
 
-/// An axis-aligned ellipsoid.
+/// An ellipsoid.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ellipsoid {
-    /// Centre [m].
-    pub(super) centre: Vec3,
-    /// Radii [m].
-    pub(super) radii: Vec3,
+    centre: Vec3,
+    radii: Vec3,
+    /// Body axes to the ellipsoid's.
+    turn: Matrix3<f64>,
+    low: Vec3,
+    high: Vec3,
 }
 
 impl Ellipsoid {
-    /// Distance [m], first order near the surface.
-    pub(super) fn distance(&self, p: &Vec3) -> f64 {
-        let far = outside(p, &(self.centre - self.radii), &(self.centre + self.radii));
+    /// Centre and radii [m], along the body's axes.
+    pub(super) fn new(centre: [f64; 3], radii: [f64; 3]) -> Self {
+        Self::turned(centre, radii, [0.0; 3])
+    }
+    /// The same turned about its centre by a rotation vector [rad].
+    pub(super) fn turned(centre: [f64; 3], radii: [f64; 3], turn: [f64; 3]) -> Self {
+        let (centre, radii) = (Vec3::from(centre), Vec3::from(radii));
+        let rotation = Rotation3::from_scaled_axis(Vec3::from(turn)).into_inner();
+        let reach = Vec3::from_fn(|k, _| rotation.row(k).transpose().component_mul(&radii).norm());
+        Self { centre, radii, turn: rotation.transpose(), low: centre - reach, high: centre + reach }
+    }
+}
+
+impl Solid for Ellipsoid {
+    fn bounds(&self) -> (Vec3, Vec3) {
+        (self.low, self.high)
+    }
+    fn distance(&self, p: &Vec3) -> f64 {
+        let far = outside(p, &self.low, &self.high);
         if far > MARGIN {
             return far;
         }
-        let x = (p - self.centre).component_div(&self.radii);
+        let x = (self.turn * (p - self.centre)).component_div(&self.radii);
         let rho = x.norm();
         if rho < 0.2 {
             return (rho - 1.0) * self.radii.min();
@@ -141,15 +186,25 @@ impl Ellipsoid {
 /// A capsule whose radius changes from one end to the other.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Capsule {
-    /// Ends [m].
-    pub(super) ends: [Vec3; 2],
-    /// Radii at the ends [m].
-    pub(super) radii: [f64; 2],
+    ends: [Vec3; 2],
+    radii: [f64; 2],
+    low: Vec3,
+    high: Vec3,
 }
 
 impl Capsule {
-    /// Distance [m]; first order where the radius changes.
-    pub(super) fn distance(&self, p: &Vec3) -> f64 {
+    /// Ends and the radii there [m].
+    pub(super) fn new(from: Vec3, to: Vec3, radii: [f64; 2]) -> Self {
+        let [a, b] = radii.map(Vec3::repeat);
+        Self { ends: [from, to], radii, low: (from - a).inf(&(to - b)), high: (from + a).sup(&(to + b)) }
+    }
+}
+
+impl Solid for Capsule {
+    fn bounds(&self) -> (Vec3, Vec3) {
+        (self.low, self.high)
+    }
+    fn distance(&self, p: &Vec3) -> f64 {
         let along = self.ends[1] - self.ends[0];
         let t = ((p - self.ends[0]).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
         (p - self.ends[0] - along * t).norm() - (self.radii[0] * (1.0 - t) + self.radii[1] * t)
@@ -157,7 +212,7 @@ impl Capsule {
 }
 
 /// Distance to a box, 0 inside.
-fn outside(p: &Vec3, low: &Vec3, high: &Vec3) -> f64 {
+pub(super) fn outside(p: &Vec3, low: &Vec3, high: &Vec3) -> f64 {
     (low - p).sup(&(p - high)).sup(&Vec3::zeros()).norm()
 }
 

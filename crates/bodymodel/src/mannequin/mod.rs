@@ -1,11 +1,17 @@
 //! The embedded default body: a smooth adult mannequin in the SMPL-X joint layout, generated, free of licences.
 //!
-//! Solids along the skeleton (`figure`) are blended into one implicit surface, meshed and relaxed (`surface`),
-//! skinned (`skinning`) and given ten shape coefficients (`shape`); the result is the same
-//! [`BodySmplx`] that files give.
+//! Solids along the skeleton (`figure`, `head`, `hand`) are blended into one implicit surface, meshed on a grid that is
+//! finer at hands, head and feet (`grid`), relaxed and mirrored (`surface`), skinned (`skinning`, `regressor`), given pose
+//! correctives (`correctives`) and ten shape coefficients (`shape`); the result is the same [`BodySmplx`] that files
+//! give. All of it is its own mirror image to the bit.
 
+mod correctives;
 mod field;
 mod figure;
+mod grid;
+mod hand;
+mod head;
+mod regressor;
 mod shape;
 mod skinning;
 mod surface;
@@ -18,30 +24,28 @@ use caphy_core::files::Files;
 use caphy_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 
-/// The mannequin: about 7000 vertices at the default resolution, T-pose, pelvis joint at the origin, 1.72 m tall,
-/// ten shape coefficients (see [`MANNEQUIN_SHAPE`]), no expression, no pose correctives.
-///
-/// Hands are mittens: thumb and one slab of fingers, moved by all fifteen joints.
+/// The mannequin: about 9700 vertices at the default resolution, T-pose, pelvis joint at the origin, 1.72 m tall,
+/// ten shape coefficients (see [`MANNEQUIN_SHAPE`]), pose correctives of limbs and neck, no expression.
 ///
 /// ```toml
 /// [body]
 /// type = "mannequin"
-/// resolution = 0.019
+/// resolution = 0.020
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BodyMannequin {
-    /// Size of the cells from which the surface is made [m]; about the mean edge length. Default 0.019: the vertex
-    /// density of SMPL-X without its face.
+    /// Size of the cells from which trunk and limbs are made [m]; about the mean edge length there. Head and feet have
+    /// about half, fingers at most 5.5 mm. Default 0.020: the number of vertices of SMPL-X.
     #[serde(default = "default_resolution")]
     pub resolution: f64,
 }
 
 fn default_resolution() -> f64 {
-    0.019
+    0.020
 }
 
-/// Coarser cells lose the hands, finer ones take minutes.
+/// Coarser cells lose the limbs' shape, finer ones take minutes.
 const RESOLUTIONS: std::ops::RangeInclusive<f64> = 0.006..=0.030;
 
 impl Default for BodyMannequin {
@@ -71,17 +75,19 @@ impl BodyMannequin {
                 format!("give a value from {} to {} m", RESOLUTIONS.start(), RESOLUTIONS.end()),
             ));
         }
-        let mesh = surface::surface(&figure::Figure::new(), self.resolution)?;
-        let weights = skinning::weights(&mesh);
-        let joint_regressor = skinning::regressor(&mesh, &weights, &figure::joints(), self.resolution)?;
-        let shape_directions = shape::directions(&mesh, &weights);
+        let body = surface::surface(&figure::Figure::new(), self.resolution)?;
+        let weights = skinning::weights(&body);
+        let joints = figure::joints();
+        let joint_regressor = regressor::regressor(&body, &weights, &joints, self.resolution)?;
+        let shape_directions = shape::directions(&body, &weights);
+        let pose_directions = correctives::directions(&body.mesh.vertices, &weights, &joints);
         Ok(SmplxArrays {
             name: "mannequin".into(),
-            template: mesh.vertices,
-            faces: mesh.faces,
+            template: body.mesh.vertices,
+            faces: body.mesh.faces,
             shape_directions,
             expression_directions: Vec::new(),
-            pose_directions: Vec::new(),
+            pose_directions,
             joint_regressor,
             weights,
             joints: skinning::joint_tree(),

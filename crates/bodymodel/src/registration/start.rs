@@ -6,7 +6,7 @@
 //! angles.
 
 use super::correspondence::spread;
-use caphy_core::body::{BodyDescription, BodyModel, BodyParameters};
+use caphy_core::body::{BodyDescription, BodyModel};
 use caphy_core::pose::Pose;
 use caphy_core::scan::{Label, LabelledPoints};
 use caphy_core::{Result, Vec3, mesh, simd_kernel};
@@ -182,7 +182,7 @@ impl<'a> Proxy<'a> {
     /// Thins the T-posed body of a shape.
     pub(super) fn new(body: &'a dyn BodyModel, shape: &[f64]) -> Result<Self> {
         let description = body.describe();
-        let posed = body.forward(&BodyParameters::rest(description.joints.len(), shape))?;
+        let posed = body.forward(&body.rest(shape))?;
         let normals = mesh::vertex_normals(&posed.vertices, &description.faces);
         let vertices: Vec<u32> = spread(&posed.vertices, POINTS);
         Ok(Self {

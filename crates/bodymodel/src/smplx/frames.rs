@@ -90,20 +90,11 @@ fn pose_vertex<T: Real, const B: usize>(
     let (joints, weights) = (&chunk.joints[row.clone()], &chunk.weights[row]);
     for (block, piece) in pieces.into_iter().enumerate() {
         let Some(point) = piece.as_chunks_mut::<48>().0.get_mut(vertex) else { return };
-        let mut p = moved[block];
-        match chunk.surface {
-            Some(surface) => {
-                let s = surface[vertex];
-                for l in 0..16 {
-                    p[l] += s[0];
-                    p[16 + l] += s[1];
-                    p[32 + l] += s[2];
-                }
-            }
-            None => {
-                for l in 0..48 {
-                    p[l] += point[l];
-                }
+        let mut p = [T::zero(); 48];
+        for axis in 0..3 {
+            for l in 0..16 {
+                let at = chunk.surface.map_or(point[16 * axis + l], |surface| surface[vertex][axis]);
+                p[16 * axis + l] = at + moved[block][axis][l];
             }
         }
         let from = (first + block) * batch.joint_count * TRANSFORM;
@@ -130,8 +121,8 @@ fn correctives<T: Real, const B: usize>(
     chunk: &Chunk<'_, T>,
     vertex: usize,
     first: usize,
-) -> [[T; 48]; B] {
-    let mut sums = [[T::zero(); 48]; B];
+) -> [[[T; 16]; 3]; B] {
+    let mut sums = [[[T::zero(); 16]; 3]; B];
     if batch.columns.is_empty() {
         return sums;
     }
@@ -144,19 +135,28 @@ fn correctives<T: Real, const B: usize>(
         let features = &batch.features[stride * columns.start..stride * columns.end];
         let directions = x[columns.clone()].iter().zip(&y[columns.clone()]).zip(&z[columns.clone()]);
         for (((x, y), z), features) in directions.zip(features.chunks_exact(stride)) {
-            let features = &features[16 * first..16 * (first + B)];
+            let Some(features) = features.as_chunks::<16>().0.get(first..).and_then(|f| f.first_chunk::<B>()) else {
+                return sums;
+            };
             for block in 0..B {
                 let sum = &mut sums[block];
-                for l in 0..16 {
-                    let f = features[16 * block + l];
-                    sum[l] += *x * f;
-                    sum[16 + l] += *y * f;
-                    sum[32 + l] += *z * f;
-                }
+                sum[0] = multiply_add(sum[0], *x, features[block]);
+                sum[1] = multiply_add(sum[1], *y, features[block]);
+                sum[2] = multiply_add(sum[2], *z, features[block]);
             }
         }
     }
     sums
+}
+
+/// `sum + d f` in every lane. By value: this shape keeps the sums of all blocks in registers.
+#[inline(always)]
+fn multiply_add<T: Real>(sum: [T; 16], d: T, f: [T; 16]) -> [T; 16] {
+    let mut out = [T::zero(); 16];
+    for l in 0..16 {
+        out[l] = sum[l] + d * f[l];
+    }
+    out
 }
 
 /// Skinning weights of the vertices asked for.

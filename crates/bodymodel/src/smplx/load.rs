@@ -35,6 +35,8 @@ const COLUMNS_V11: (usize, usize) = (300, 100);
 const COLUMNS_OLD: usize = 10;
 /// Skinning weights below this are export noise: a metre away they move a vertex by a nanometre.
 const WEIGHT_NOISE: f64 = 1e-9;
+/// Negative skinning weights up to this size are rounding of single precision and count as zero.
+const NEGATIVE_NOISE: f64 = 1e-6;
 
 /// Reads a body in the SMPL-X layout; `path` serves messages and the body's name.
 ///
@@ -247,14 +249,15 @@ impl File<'_> {
         let mut rows = Vec::with_capacity(n);
         for (v, row) in array.data.chunks_exact(joint_count).enumerate() {
             let sum: f64 = row.iter().sum();
-            let negative = row.iter().position(|w| *w < -WEIGHT_NOISE);
+            let negative = row.iter().position(|w| *w < -NEGATIVE_NOISE);
             if let Some(j) = negative {
                 return Err(self.error(name, format!("row {v} (vertex), column {j} (joint) is {}", row[j]), DAMAGED));
             }
             if is_off_one(sum) {
                 return Err(self.error(name, format!("row {v} (vertex) sums to {sum} instead of 1"), DAMAGED));
             }
-            let kept = sparse(row, WEIGHT_NOISE);
+            let mut kept = sparse(row, WEIGHT_NOISE);
+            kept.retain(|(_, w)| *w > 0.0);
             let sum: f64 = kept.iter().map(|(_, w)| w).sum();
             rows.push(kept.into_iter().map(|(j, w)| (j as u16, w / sum)).collect());
         }

@@ -80,7 +80,7 @@ impl BodySmplx {
         let (shape_count, expression_count) = (arrays.shape_directions.len(), arrays.expression_directions.len());
         let directions: Vec<_> = arrays.shape_directions.iter().chain(&arrays.expression_directions).cloned().collect();
         let joint_directions = directions.iter().map(|d| regress(d)).collect();
-        let correctives = PoseCorrectives::new(&arrays.pose_directions, arrays.template.len());
+        let correctives = PoseCorrectives::new(arrays.pose_directions, arrays.template.len());
         let description = BodyDescription {
             name: arrays.name,
             joints: arrays.joints,
@@ -122,11 +122,13 @@ impl BodySmplx {
             ("expression coefficients", expression, self.description.shape_count, self.description.expression_count),
         ];
         for (what, given, first, count) in groups {
-            let what = format!("{what} of `{}`", self.description.name);
+            let what = || format!("{what} of `{}`", self.description.name);
             if given.len() > count {
-                return Err(Error::Length { what, expected: count, got: given.len() });
+                return Err(Error::Length { what: what(), expected: count, got: given.len() });
             }
-            Error::check_finite(&what, given)?;
+            if !given.iter().all(|c| c.is_finite()) {
+                Error::check_finite(&what(), given)?;
+            }
             out.extend(given.iter().enumerate().filter(|(_, c)| **c != 0.0).map(|(k, c)| (first + k, *c)));
         }
         Ok(out)
@@ -144,8 +146,10 @@ impl BodySmplx {
 
     /// Checks rotations, shape [joint_count].
     fn check_rotations(&self, rotations: &[Vec3]) -> Result<()> {
-        let name = &self.description.name;
-        Error::check_length(&format!("rotations of `{name}`"), self.description.joints.len(), rotations.len())?;
+        let (name, count) = (&self.description.name, self.description.joints.len());
+        if rotations.len() != count {
+            Error::check_length(&format!("rotations of `{name}`"), count, rotations.len())?;
+        }
         for (joint, r) in self.description.joints.iter().zip(rotations) {
             if !r.iter().all(|c| c.is_finite()) {
                 Error::check_finite(&format!("rotation of `{}` of `{name}`", joint.name), r.as_slice())?;

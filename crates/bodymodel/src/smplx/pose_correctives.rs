@@ -16,7 +16,7 @@ pub(super) struct PoseCorrectives {
 
 impl PoseCorrectives {
     /// From all directions, shape [vertex_count][xyz][9 · (joint_count - 1)]; `None` when they are absent or all zero.
-    pub(super) fn new(all: &[f32], vertex_count: usize) -> Option<Self> {
+    pub(super) fn new(all: Vec<f32>, vertex_count: usize) -> Option<Self> {
         let width = all.len() / (3 * vertex_count);
         let mut used = vec![false; width / 9];
         for row in all.chunks_exact(width.max(1)) {
@@ -27,6 +27,9 @@ impl PoseCorrectives {
         let joints: Vec<usize> = (0..used.len()).filter(|&i| used[i]).map(|i| i + 1).collect();
         if joints.is_empty() {
             return None;
+        }
+        if 9 * joints.len() == width {
+            return Some(Self { joints, data: all });
         }
         let mut data = Vec::with_capacity(3 * vertex_count * 9 * joints.len());
         for row in all.chunks_exact(width) {

@@ -4,50 +4,68 @@ use caphy_core::Vec3;
 use nalgebra::Matrix3;
 
 /// Below this squared angle the closed forms lose digits to cancellation and the series take over: at 0.25 the closed
-/// forms still have 1e-14 relative accuracy, and nine terms of the series have more.
+/// forms still have 1e-14 relative accuracy, and ten terms of the series have more.
 const SERIES_BELOW: f64 = 0.25;
+/// Terms of the series.
+const TERMS: usize = 10;
+
+/// (-1)^n / (2n + `first`)!: a = Σ SINE_n xⁿ, b = Σ COSINE_n xⁿ for x = θ².
+const fn reciprocal_factorials(first: usize) -> [f64; TERMS] {
+    let mut out = [1.0; TERMS];
+    let (mut n, mut value) = (0, if first == 2 { 0.5 } else { 1.0 });
+    while n < TERMS {
+        out[n] = value;
+        let next = 2 * n + first;
+        value /= -(((next + 1) * (next + 2)) as f64);
+        n += 1;
+    }
+    out
+}
+const SINE: [f64; TERMS] = reciprocal_factorials(1);
+const COSINE: [f64; TERMS] = reciprocal_factorials(2);
+
+/// Σ c_n xⁿ.
+fn polynomial(c: &[f64; TERMS], x: f64) -> f64 {
+    c.iter().rev().fold(0.0, |sum, c| sum * x + c)
+}
+
+/// Σ 2 n c_n xⁿ⁻¹, the derivative by θ over θ.
+fn slope(c: &[f64; TERMS], x: f64) -> f64 {
+    c.iter().enumerate().skip(1).rev().fold(0.0, |sum, (n, c)| sum * x + 2.0 * n as f64 * c)
+}
 
 /// Cross-product matrix [v]×.
 pub(super) fn cross_matrix(v: &Vec3) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }
 
-/// a = sin θ / θ, b = (1 - cos θ) / θ², and a'/θ, b'/θ, for x = θ².
-fn coefficients(x: f64) -> [f64; 4] {
+/// a = sin θ / θ and b = (1 - cos θ) / θ² for x = θ².
+fn sine_and_cosine(x: f64) -> [f64; 2] {
     if x < SERIES_BELOW {
-        // a = Σ (-x)^n / (2n+1)!, b = Σ (-x)^n / (2n+2)!; d/dθ = 2θ d/dx.
-        let (mut a, mut b, mut da, mut db) = (0.0, 0.0, 0.0, 0.0);
-        let mut power = 1.0; // (-x)^n / (2n)!
-        let mut previous = 0.0; // -n (-x)^(n-1) / (2n)!
-        for n in 0..10 {
-            let (odd, even) = (f64::from(2 * n + 1), f64::from(2 * n + 2));
-            a += power / odd;
-            b += power / (odd * even);
-            da += 2.0 * previous / odd;
-            db += 2.0 * previous / (odd * even);
-            let next = f64::from(n + 1);
-            previous = -next * power / (odd * even);
-            power *= -x / (odd * even);
-        }
-        [a, b, da, db]
-    } else {
-        let angle = x.sqrt();
-        let (sin, cos) = angle.sin_cos();
-        let (a, b) = (sin / angle, (1.0 - cos) / x);
-        [a, b, (cos - a) / x, (a - 2.0 * b) / x]
+        return [polynomial(&SINE, x), polynomial(&COSINE, x)];
     }
+    let angle = x.sqrt();
+    let (sin, cos) = angle.sin_cos();
+    [sin / angle, (1.0 - cos) / x]
 }
 
 /// Rotation matrix of an axis-angle vector [rad]: R = I + a K + b K².
 pub(super) fn rotation(r: &Vec3) -> Matrix3<f64> {
-    let [a, b, _, _] = coefficients(r.norm_squared());
+    let [a, b] = sine_and_cosine(r.norm_squared());
     let k = cross_matrix(r);
     Matrix3::identity() + k * a + k * k * b
 }
 
 /// ∂R/∂r_x, ∂R/∂r_y, ∂R/∂r_z [1/rad].
 pub(super) fn rotation_derivatives(r: &Vec3) -> [Matrix3<f64>; 3] {
-    let [a, b, da, db] = coefficients(r.norm_squared());
+    let x = r.norm_squared();
+    let [a, b] = sine_and_cosine(x);
+    // a'/θ and b'/θ.
+    let [da, db] = if x < SERIES_BELOW {
+        [slope(&SINE, x), slope(&COSINE, x)]
+    } else {
+        [(x.sqrt().cos() - a) / x, (a - 2.0 * b) / x]
+    };
     let k = cross_matrix(r);
     let kk = k * k;
     std::array::from_fn(|axis| {

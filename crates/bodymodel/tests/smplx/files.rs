@@ -259,6 +259,9 @@ fn sums_of_weights_are_held_to_one() {
     refused(|f| put(f, "weights", 3 * 55, 0.0), &["`weights`", "row 3 ", "sums to 0"]);
     refused(|f| put(f, "weights", 3 * 55 + 9, -0.2), &["`weights`", "row 3 ", "column 9 ", "-0.2"]);
     refused(|f| put(f, "J_regressor", 599, 0.5), &["`J_regressor`", "row 0 "]);
+    let mut file = small().file();
+    put(&mut file, "weights", 3 * 55 + 9, -1e-7);
+    assert_eq!(read_plainly(&file).unwrap().describe().weights.row(3).count(), 1, "rounding is no weight");
     // What half precision leaves is divided out: a translation still moves every vertex alike.
     let mut file = small().file();
     put(&mut file, "weights", 3 * 55, 0.9996);
@@ -423,3 +426,50 @@ fn damaged_archives_are_refused_and_never_panic() {
         }
     }
 }
+
+/// Changes behind the archive's check sums: bytes of values, types, axes, whole arrays. Whatever loads can be posed.
+#[test]
+fn arrays_that_were_tampered_with_never_panic() {
+    let mut state = 1u64;
+    let mut below = |n: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % n.max(1)
+    };
+    let original = Layout { vertices: 70, columns: 4, ..small() }.file();
+    let names: Vec<String> = original.arrays.keys().cloned().collect();
+    let options = SmplxOptions { face_contour: true, hand_mean: true, ..SmplxOptions::default() };
+    let (mut loaded, mut refused) = (0, 0);
+    for _ in 0..TAMPERED {
+        let mut file = original.clone();
+        for _ in 0..=below(3) {
+            let Some(npy) = file.arrays.get_mut(&names[below(names.len())]) else { continue };
+            match below(6) {
+                0 | 1 if !npy.data.is_empty() => {
+                    let at = below(npy.data.len());
+                    npy.data[at] = [0, 0x7f, 0x80, 0xff, 0x3f, 1][below(6)];
+                }
+                2 => {
+                    let axis = below(npy.shape.len());
+                    npy.shape[axis] = [0, 1, npy.shape[axis] + 1, usize::MAX][below(4)];
+                }
+                3 => npy.shape.reverse(),
+                4 => npy.descr = ["<f4", "<i4", "<u4", "<f8", "<i8", "<u8"][below(6)],
+                _ => drop(file.arrays.remove(&names[below(names.len())])),
+            }
+        }
+        match load(Path::new("tampered.npz"), file.stored(), &options) {
+            Ok(body) => {
+                loaded += 1;
+                let rest = body.rest(&[1.0][..body.describe().shape_count.min(1)]);
+                body.forward(&rest).unwrap();
+                body.landmarks(&rest.rotations).unwrap();
+                let mut out = Frames::<f32>::zeros(1, body.describe().vertex_count, 1);
+                body.forward_frames(&[rest], None, &mut out).unwrap();
+            }
+            Err(_) => refused += 1,
+        }
+    }
+    assert!(loaded > TAMPERED / 20 && refused > TAMPERED / 5, "{loaded} loaded, {refused} refused");
+}
+
+const TAMPERED: usize = 400;

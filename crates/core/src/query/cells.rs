@@ -17,40 +17,17 @@ pub(super) struct Cells<T> {
 const MOST: i32 = 512;
 
 impl<T: Real> Cells<T> {
-    /// Empty cells of the size `cell` [m] over a box; larger ones where the box would need more than 512 along an axis.
+    /// Empty cells of a positive size `cell` [m] over a box; larger ones where the box would need more than 512 along an axis.
     pub(super) fn new(low: [T; 3], high: [T; 3], cell: f64) -> Self {
         let extent: [f64; 3] = std::array::from_fn(|k| (high[k] - low[k]).to_f64());
         let longest = extent.iter().copied().fold(0.0, f64::max);
-        let cell =
-            T::of(cell.max(longest / f64::from(MOST - 1)).max(f64::MIN_POSITIVE.max(T::min_positive_value().to_f64())));
+        let cell = T::of(cell.max(longest / f64::from(MOST - 1)));
         let size: [i32; 3] = std::array::from_fn(|k| ((extent[k] / cell.to_f64()) as i32 + 1).min(MOST));
         Self { origin: low, cell, inverse: T::one() / cell, size, starts: Vec::new() }
     }
     /// Number of the cell that holds a point, which is moved into the box if it lies outside.
     pub(super) fn index_of(&self, p: &[T; 3]) -> u32 {
         self.index(self.cell_at(&self.relative(p))) as u32
-    }
-    /// Numbers of the cells that a box touches.
-    pub(super) fn in_box(&self, low: &[T; 3], high: &[T; 3], mut each: impl FnMut(u32, [T; 3])) {
-        let (lo, hi) = (self.cell_at(&self.relative(low)), self.cell_at(&self.relative(high)));
-        let half = T::of(0.5);
-        let middle = |c: i32, k: usize| self.origin[k] + (T::of(f64::from(c)) + half) * self.cell;
-        for z in lo[2]..=hi[2] {
-            for y in lo[1]..=hi[1] {
-                for x in lo[0]..=hi[0] {
-                    each(self.index([x, y, z]) as u32, [middle(x, 0), middle(y, 1), middle(z, 2)]);
-                }
-            }
-        }
-    }
-    /// How many cells a box touches.
-    pub(super) fn count_in_box(&self, low: &[T; 3], high: &[T; 3]) -> usize {
-        let (lo, hi) = (self.cell_at(&self.relative(low)), self.cell_at(&self.relative(high)));
-        (0..3).map(|k| (hi[k] - lo[k] + 1) as usize).product()
-    }
-    /// Edge of a cell [m].
-    pub(super) fn edge(&self) -> T {
-        self.cell
     }
     /// Sorts entries (cell, id) by cell, ids in the order given; returns the id of each slot.
     pub(super) fn fill(&mut self, entries: &[(u32, u32)]) -> Vec<u32> {

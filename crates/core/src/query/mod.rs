@@ -1,10 +1,10 @@
 //! Mesh queries that several crates need: adjacency, boundary loops, hinges, exact nearest vertices and surface points.
 //!
-//! Nearest vertices ([`NearestGrid`]) and nearest points of triangles ([`NearestSurface`]) are searched in a uniform grid, in
-//! growing shells of cells around the query, until no cell that is left can hold anything nearer. Answers are exact, equal
-//! distances go to the smallest id, and so neither the order of building, nor a known earlier answer that shortens the search
-//! (`nearest_from`), nor the number of threads (`nearest_all`) changes a bit of them. A query that is not finite has no
-//! answer.
+//! Nearest vertices ([`NearestGrid`]) are searched in a uniform grid, in growing shells of cells around the query, nearest
+//! points of triangles ([`NearestSurface`]) in a tree of boxes, until nothing that is left can be nearer. Answers are exact,
+//! equal distances go to the smallest id, and so neither the order of building, nor a known earlier answer that shortens the
+//! search (`nearest_from`), nor the number of threads (`nearest_all`) changes a bit of them. A query that is not finite has
+//! no answer.
 
 mod adjacency;
 mod batch;

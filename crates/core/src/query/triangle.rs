@@ -35,16 +35,39 @@ const SLIVER: f64 = 1e-2;
 /// Well-shaped triangles go by the regions of their planes (Ericson, *Real-Time Collision Detection*, 5.1.5), slivers by a
 /// projection onto an orthonormal frame along their longest side and by their three sides.
 pub fn nearest_on_triangle(p: &Vec3, corners: &[Vec3; 3]) -> TrianglePoint {
-    // With the query at the origin, the error of the distance is one of the triangle's size, not of its place.
-    let at = corners.map(|c| c - p);
-    let (barycentric, feature) =
-        if is_sliver(&at) { sliver(&at) } else { by_regions(&at, &(at[1] - at[0]), &(at[2] - at[0])) };
-    let mix = |c: &[Vec3; 3]| c[0] * barycentric[0] + c[1] * barycentric[1] + c[2] * barycentric[2];
-    TrianglePoint { barycentric, feature, point: mix(corners), squared_distance: mix(&at).norm_squared() }
+    Weights::of_nearest(p, corners, is_sliver(corners)).on(corners)
+}
+
+/// A point of a triangle by its weights alone.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Weights {
+    barycentric: [f64; 3],
+    feature: TriangleFeature,
+    /// To the query [m²].
+    pub(super) squared_distance: f64,
+}
+
+impl Weights {
+    #[inline(always)]
+    pub(super) fn of_nearest(p: &Vec3, corners: &[Vec3; 3], is_sliver: bool) -> Self {
+        // With the query at the origin, the error of the distance is one of the triangle's size, not of its place.
+        let at = corners.map(|c| c - p);
+        let (barycentric, feature) =
+            if is_sliver { sliver(&at) } else { by_regions(&at, &(at[1] - at[0]), &(at[2] - at[0])) };
+        Self { barycentric, feature, squared_distance: mix(&at, barycentric).norm_squared() }
+    }
+    pub(super) fn on(self, corners: &[Vec3; 3]) -> TrianglePoint {
+        let Self { barycentric, feature, squared_distance } = self;
+        TrianglePoint { barycentric, feature, point: mix(corners, barycentric), squared_distance }
+    }
+}
+
+#[inline(always)]
+fn mix(corners: &[Vec3; 3], weights: [f64; 3]) -> Vec3 {
+    corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2]
 }
 
 /// Whether the normal of a triangle is too uncertain to reason by.
-#[inline(always)]
 pub(super) fn is_sliver([a, b, c]: &[Vec3; 3]) -> bool {
     let (ab, ac, bc) = (b - a, c - a, c - b);
     let longest = ab.norm_squared().max(ac.norm_squared()).max(bc.norm_squared());
@@ -94,9 +117,9 @@ fn sliver(at: &[Vec3; 3]) -> ([f64; 3], TriangleFeature) {
     let side = |k: usize| at[(k + 1) % 3] - at[k];
     let mut best = ([1.0, 0.0, 0.0], Corner(0), at[0].norm_squared());
     let mut offer = |barycentric: [f64; 3], feature: TriangleFeature| {
-        let q = at[0] * barycentric[0] + at[1] * barycentric[1] + at[2] * barycentric[2];
-        if q.norm_squared() < best.2 {
-            best = (barycentric, feature, q.norm_squared());
+        let square = mix(at, barycentric).norm_squared();
+        if square < best.2 {
+            best = (barycentric, feature, square);
         }
     };
     for k in 0..3 {

@@ -64,7 +64,8 @@ impl<T: Real> NearestGrid<T> {
     pub fn is_empty(&self) -> bool {
         self.ids.is_empty()
     }
-    /// Id of the nearest point and the squared distance [m²]; `None` without points or for a non-finite query.
+    /// Id of the nearest point and the squared distance [m²]; `None` without points, for a query that is not finite, or one so
+    /// far that the square is not.
     pub fn nearest(&self, query: &[T; 3]) -> Option<(u32, T)> {
         self.search(query, None, T::infinity())
     }

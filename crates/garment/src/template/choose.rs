@@ -1,5 +1,6 @@
 //! Which template a scan wears: the smallest Chamfer distance among candidates (Sec. 3.1), and a local refinement.
 
+use super::source::{TemplateParametric, TemplateSource};
 use super::{Style, Tailor, Template};
 use caphy_core::body::BlendWeights;
 use caphy_core::query::NearestGrid;
@@ -126,13 +127,31 @@ pub struct Refinement {
     pub evaluations: usize,
 }
 
-/// Improves a style around the best sample by pattern search: a step up and down each axis of the style space, halved when
-/// nothing is better, at most `evaluations` templates. `pose` takes a template to the scan's pose.
+/// [`refine`] in the parametric style space.
 ///
 /// # Errors
-/// Those of [`Tailor::generate`] for the start (styles on the way that fail are passed over), of `pose`, and of
-/// [`choose_template`].
+/// As there.
 pub fn refine_style(
+    tailor: &Tailor,
+    start: &Style,
+    resolution_m: f64,
+    scan_points: &[Vec3],
+    options: &ChooseOptions<'_>,
+    evaluations: usize,
+    pose: impl Fn(&Template) -> Result<Vec<Vec3>> + Sync,
+) -> Result<Refinement> {
+    refine(&TemplateParametric {}, tailor, start, resolution_m, scan_points, options, evaluations, pose)
+}
+
+/// Improves a style around the best sample by pattern search: a step up and down each axis of the source's space, halved when
+/// nothing is better, at most `evaluations` templates. `pose` takes a template to the scan's pose. A source without anything
+/// between its garments gives the start back.
+///
+/// # Errors
+/// Those of [`TemplateSource::template`] for the start (styles on the way that fail are passed over), of `pose`, and of
+/// [`choose_template`].
+pub fn refine(
+    source: &dyn TemplateSource,
     tailor: &Tailor,
     start: &Style,
     resolution_m: f64,
@@ -143,35 +162,28 @@ pub fn refine_style(
 ) -> Result<Refinement> {
     let scan = Scan::new(scan_points, options)?;
     let measure = |style: &Style| -> Result<(Template, Chamfer)> {
-        let template = tailor.generate(style, resolution_m)?;
+        let template = source.template(tailor, style, resolution_m)?;
         let chamfer = scan.chamfer(&pose(&template)?)?;
         Ok((template, chamfer))
     };
     let (template, chamfer) = measure(start)?;
-    let mut best = Refinement { style: *start, template, chamfer, evaluations: 1 };
+    let mut best = Refinement { style: start.clone(), template, chamfer, evaluations: 1 };
     let mut step = 0.12;
     while best.evaluations < evaluations && step > 0.01 {
-        let unit = best.style.to_unit();
-        let mut tries = Vec::new();
-        for axis in 0..unit.len() {
-            for sign in [1.0, -1.0] {
-                let mut next = unit.clone();
-                next[axis] = (next[axis] + sign * step).clamp(0.0, 1.0);
-                if next[axis] != unit[axis] {
-                    tries.push(Style::from_unit(start.kind(), &next)?);
-                }
-            }
+        let mut tries = source.neighbours(&best.style, step);
+        if tries.is_empty() {
+            break;
         }
         tries.truncate(evaluations - best.evaluations);
         let measured: Vec<Result<(Template, Chamfer)>> = tries.par_iter().map(measure).collect();
         best.evaluations += tries.len();
         let before = best.chamfer.squared;
-        for (style, outcome) in tries.iter().zip(measured) {
+        for (style, outcome) in tries.into_iter().zip(measured) {
             match outcome {
                 Ok((template, chamfer)) if chamfer.squared < best.chamfer.squared => {
-                    best = Refinement { style: *style, template, chamfer, evaluations: best.evaluations };
+                    best = Refinement { style, template, chamfer, evaluations: best.evaluations };
                 }
-                Ok(_) | Err(Error::Numerics { .. }) => {}
+                Ok(_) | Err(Error::Numerics { .. } | Error::Mesh { .. }) => {}
                 Err(other) => return Err(other),
             }
         }

@@ -16,40 +16,52 @@ pub(crate) struct DistanceGrid {
     values: Vec<f32>,
 }
 
+/// What of a triangle is nearest: a corner, a side (from corner k to the next) or the inside.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Feature {
+    Corner(usize),
+    Side(usize),
+    Inside,
+}
+
 /// Nearest point of a triangle.
-pub(crate) fn nearest_on_triangle(p: &Vec3, [a, b, c]: &[Vec3; 3]) -> Vec3 {
+pub(crate) fn nearest_on_triangle(p: &Vec3, corners: &[Vec3; 3]) -> Vec3 {
+    nearest_feature(p, corners).0
+}
+
+fn nearest_feature(p: &Vec3, [a, b, c]: &[Vec3; 3]) -> (Vec3, Feature) {
     let (ab, ac, ap) = (b - a, c - a, p - a);
     let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
     if d1 <= 0.0 && d2 <= 0.0 {
-        return *a;
+        return (*a, Feature::Corner(0));
     }
     let bp = p - b;
     let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
     if d3 >= 0.0 && d4 <= d3 {
-        return *b;
+        return (*b, Feature::Corner(1));
     }
     let vc = d1 * d4 - d3 * d2;
     if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        return a + ab * (d1 / (d1 - d3));
+        return (a + ab * (d1 / (d1 - d3)), Feature::Side(0));
     }
     let cp = p - c;
     let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
     if d6 >= 0.0 && d5 <= d6 {
-        return *c;
+        return (*c, Feature::Corner(2));
     }
     let vb = d5 * d2 - d1 * d6;
     if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        return a + ac * (d2 / (d2 - d6));
+        return (a + ac * (d2 / (d2 - d6)), Feature::Side(2));
     }
     let va = d3 * d6 - d5 * d4;
     if va <= 0.0 && d4 >= d3 && d5 >= d6 {
-        return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)));
+        return (b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6))), Feature::Side(1));
     }
     let sum = va + vb + vc;
     if sum <= 0.0 {
-        return *a;
+        return (*a, Feature::Corner(0));
     }
-    a + ab * (vb / sum) + ac * (vc / sum)
+    (a + ab * (vb / sum) + ac * (vc / sum), Feature::Inside)
 }
 
 impl DistanceGrid {
@@ -174,6 +186,13 @@ fn signed_volume(mesh: &TriMesh) -> f64 {
 #[derive(Debug, Clone)]
 pub(crate) struct TriangleCells {
     triangles: Vec<[Vec3; 3]>,
+    /// Vertex ids of each triangle.
+    faces: Vec<[u32; 3]>,
+    /// Unit normals: of each triangle, of its three sides (mean of both faces), of each vertex (weighted by angle). With these
+    /// the sign of the distance is right at corners and sides, too (Bærentzen and Aanæs 2005).
+    face_normals: Vec<Vec3>,
+    side_normals: Vec<[Vec3; 3]>,
+    vertex_normals: Vec<Vec3>,
     origin: Vec3,
     size: [i64; 3],
     starts: Vec<u32>,
@@ -214,11 +233,47 @@ impl TriangleCells {
         for c in 0..cells {
             starts[c + 1] += starts[c];
         }
-        Self { triangles, origin: low, size, starts, ids: entries.into_iter().map(|(_, id)| id).collect() }
+        let turned = if signed_volume(mesh) < 0.0 { -1.0 } else { 1.0 };
+        let unit = |n: Vec3| n.try_normalize(0.0).unwrap_or_else(Vec3::zeros);
+        let face_normals: Vec<Vec3> =
+            triangles.iter().map(|[a, b, c]| unit((b - a).cross(&(c - a))) * turned).collect();
+        let mut vertex_normals = vec![Vec3::zeros(); mesh.vertices.len()];
+        let mut by_edge: std::collections::HashMap<[u32; 2], Vec3> = std::collections::HashMap::new();
+        for ((face, p), n) in mesh.faces.iter().zip(&triangles).zip(&face_normals) {
+            for k in 0..3 {
+                let (l, r) = ((k + 1) % 3, (k + 2) % 3);
+                vertex_normals[face[k] as usize] += n * (p[l] - p[k]).angle(&(p[r] - p[k]));
+                *by_edge.entry([face[k].min(face[l]), face[k].max(face[l])]).or_insert_with(Vec3::zeros) += n;
+            }
+        }
+        vertex_normals.iter_mut().for_each(|n| *n = unit(*n));
+        let side = |f: &[u32; 3], k: usize| {
+            let (a, b) = (f[k], f[(k + 1) % 3]);
+            by_edge.get(&[a.min(b), a.max(b)]).map_or_else(Vec3::zeros, |n| unit(*n))
+        };
+        let side_normals = mesh.faces.iter().map(|f| [side(f, 0), side(f, 1), side(f, 2)]).collect();
+        let ids = entries.into_iter().map(|(_, id)| id).collect();
+        let faces = mesh.faces.clone();
+        Self { triangles, faces, face_normals, side_normals, vertex_normals, origin: low, size, starts, ids }
     }
-    /// Nearest surface point and its distance [m], no farther than `limit`.
-    pub(crate) fn nearest(&self, p: &Vec3, limit: f64) -> Option<(Vec3, f64)> {
-        let mut best: Option<(Vec3, f64)> = None;
+    /// Nearest surface point, its signed distance [m] (negative inside) and the direction out of the body there; no farther
+    /// than `limit`. The sign is that of the surface nearby: where parts of a body overlap, ask a [`DistanceGrid`] too.
+    pub(crate) fn signed(&self, p: &Vec3, limit: f64) -> Option<(Vec3, f64, Vec3)> {
+        let (q, d, id) = self.nearest_triangle(p, limit)?;
+        let id = id as usize;
+        let normal = match nearest_feature(p, &self.triangles[id]).1 {
+            Feature::Corner(k) => self.vertex_normals[self.faces[id][k] as usize],
+            Feature::Side(k) => self.side_normals[id][k],
+            Feature::Inside => self.face_normals[id],
+        };
+        let sign = if (p - q).dot(&normal) < 0.0 { -1.0 } else { 1.0 };
+        // On the surface itself the offset has no direction.
+        let out = if d > 1e-7 { (p - q) * (sign / d) } else { normal };
+        Some((q, sign * d, out))
+    }
+    /// Nearest surface point, its distance [m] and triangle, no farther than `limit`.
+    fn nearest_triangle(&self, p: &Vec3, limit: f64) -> Option<(Vec3, f64, u32)> {
+        let mut best: Option<(Vec3, f64, u32)> = None;
         let mut reach = limit;
         let base: [i64; 3] = std::array::from_fn(|k| ((p[k] - self.origin[k]) / SEARCH_CELL).floor() as i64);
         let rings = (limit / SEARCH_CELL).ceil() as i64 + 1;
@@ -240,7 +295,7 @@ impl TriangleCells {
                             let d = (p - q).norm();
                             if d < reach {
                                 reach = d;
-                                best = Some((q, d));
+                                best = Some((q, d, id));
                             }
                         }
                     }
@@ -306,13 +361,15 @@ mod tests {
                 let p = n * (0.1 + depth);
                 // The facets sag below the sphere; a trilinear cell adds h²/8 times the sum of both curvatures, 2/r at the
                 // corner of the cell nearest to the centre.
-                assert!((cells.nearest(&p, 0.05).unwrap().1 - depth.abs()).abs() < sag + 1e-9);
+                assert!((cells.nearest_triangle(&p, 0.05).unwrap().1 - depth.abs()).abs() < sag + 1e-9);
+                let (_, signed, out) = cells.signed(&p, 0.05).unwrap();
+                assert!((signed - depth).abs() < sag + 1e-9 && out.dot(&n) > 0.9);
                 let corner = 0.1 + depth - 3f64.sqrt() * CELL;
                 let bound = sag + CELL * CELL / 8.0 * 2.0 / corner;
                 assert!((grid.value(&p) - depth).abs() < bound, "{depth} {}", grid.value(&p));
             }
         }
         assert!(grid.value(&Vec3::zeros()) < -0.02);
-        assert!(cells.nearest(&Vec3::repeat(1.0), 0.05).is_none());
+        assert!(cells.signed(&Vec3::repeat(1.0), 0.05).is_none());
     }
 }

@@ -1,24 +1,39 @@
-//! Garment templates: a parametric style space on any body in the SMPL-X joint layout (Sec. 3.1).
+//! Garment templates (Sec. 3.1): cut here on any body in the SMPL-X joint layout, or given.
 //!
-//! Differs from the paper: TailorNet's style space is not free to use, so shirts and trousers are cut here from the body's own
-//! convex sections ([`Style`]); the choice by Chamfer distance among samples of the style space ([`choose_template`]) is
-//! the paper's. A template is the garment as worn on the T-pose, outside the body, evenly triangulated; it is not draped.
+//! Differs from the paper: TailorNet's style space is not free to use, so by default shirts and trousers are cut here from the
+//! body's own convex sections ([`Style`]); the choice by Chamfer distance among samples of the style space
+//! ([`choose_template`]) is the paper's. Where templates come from is a [`TemplateSource`]: the parametric style space, a
+//! folder of meshes, one mesh, or a linear style space in the form that TailorNet's can be exported to. A template is the
+//! garment as worn on the T-pose, outside the body; it is not draped.
 
 mod choose;
 mod distance;
+mod facts;
+mod given;
 mod grain;
+mod loops;
 mod remesh;
 mod rest;
 mod sections;
 mod shape;
+mod source;
 mod style;
 mod surface;
 
 pub use choose::{
-    Chamfer, Choice, ChooseOptions, Refinement, choose_template, pose_by_nearest_vertex, pose_by_weights, refine_style,
+    Chamfer, Choice, ChooseOptions, Refinement, choose_template, pose_by_nearest_vertex, pose_by_weights, refine,
+    refine_style,
 };
+pub use facts::{GarmentFacts, LengthFacts, LoopFacts, Quantiles};
+pub use given::{FitOptions, GivenFacts, GivenMesh, LayoutFacts, PenetrationFacts, PenetrationOptions, Repairs};
 pub use rest::BodyRest;
-pub use style::{GarmentKind, LOWER_RANGES, LowerStyle, Style, StyleRange, UPPER_RANGES, UpperStyle, sample_styles};
+pub use source::{
+    TemplateFolder, TemplateLinear, TemplateMesh, TemplateParametric, TemplateSource, TemplateSpec, read_garment,
+    templates,
+};
+pub use style::{
+    GarmentKind, GivenStyle, LOWER_RANGES, LowerStyle, Style, StyleRange, UPPER_RANGES, UpperStyle, sample_styles,
+};
 
 use caphy_core::query::{Adjacency, NearestGrid, boundary_loops, hinges};
 use caphy_core::{Error, Result, TriMesh, Vec3};
@@ -33,10 +48,16 @@ pub const RESOLUTION_RANGE: StyleRange = StyleRange { name: "resolution", unit: 
 /// No vertex, edge middle or face middle of a template is nearer to the skin than this [m].
 const CLEARANCE: f64 = 0.0035;
 
+/// Distances to the skin beyond this are not told apart [m].
+const FAR: f64 = 0.06;
+/// From here on the sign of the distance grid is beyond doubt [m]: its cell.
+const GRID_SURE: f64 = 0.008;
+
 /// A named boundary of a garment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NamedLoop {
-    /// `neck`, `cuff_left`, `cuff_right`, `hem` or `waist`.
+    /// `neck`, `cuff_left`, `cuff_right`, `hem` or `waist`; of given garments also `bust` (the upper end of a strapless top),
+    /// `leg_left` and `leg_right` (of an upper garment with legs), `opening_1`, … (around no limb).
     pub name: String,
     /// Vertices in order around the loop, the garment on their left seen from outside.
     pub vertices: Vec<u32>,
@@ -58,12 +79,15 @@ pub struct Template {
     /// Corner coordinates (u, v) [m] in each rest triangle's plane, shape [face_count, 3, 2]; u along the grain. Isometric to
     /// the rest triangle; faces do not join into a layout.
     pub material_uv: Vec<[[f64; 2]; 3]>,
-    /// Edge length asked for [m].
+    /// Edge length asked for; of a given garment its mean edge length [m].
     pub resolution_m: f64,
     /// What the grain follows, in words.
     pub grain: String,
     /// Smallest distance of its vertices to the skin [m].
     pub clearance_m: f64,
+    /// What was done to a garment that was not cut here.
+    #[serde(default)]
+    pub given: Option<GivenFacts>,
 }
 
 impl Template {
@@ -82,10 +106,20 @@ impl Template {
             })
             .collect()
     }
+    /// Loops that the body holds: the waistband of trousers and skirts, the upper end of a strapless top. Shirts hang on the
+    /// shoulders.
+    pub fn attachments(&self) -> impl Iterator<Item = &NamedLoop> {
+        attachments(&self.loops)
+    }
     /// A loop by name.
     pub fn boundary(&self, name: &str) -> Option<&NamedLoop> {
         self.loops.iter().find(|l| l.name == name)
     }
+}
+
+/// Those of named loops that the body holds; see [`Template::attachments`].
+pub fn attachments(loops: &[NamedLoop]) -> impl Iterator<Item = &NamedLoop> {
+    loops.iter().filter(|l| matches!(l.name.as_str(), "waist" | "bust"))
 }
 
 /// A body measured once, on which any number of garments can be cut.
@@ -155,30 +189,28 @@ impl Tailor {
     /// out as one piece with its loops (a body whose limbs are no limbs).
     pub fn generate(&self, style: &Style, resolution_m: f64) -> Result<Template> {
         style.check()?;
-        let r = RESOLUTION_RANGE;
-        if !(resolution_m >= r.lower && resolution_m <= r.upper) {
-            let (name, unit) = (r.name.into(), r.unit.into());
-            return Err(Error::Parameter { name, value: resolution_m, lower: r.lower, upper: r.upper, unit });
-        }
+        RESOLUTION_RANGE.check(resolution_m)?;
         // Flat triangles cut corners: on a limb of 4.5 cm radius an edge L sags by L²/8r.
         let gap = GAP + resolution_m * resolution_m / (8.0 * 0.045);
         let shape = match style {
             Style::Upper(s) => Shape::upper(&self.marks, &self.grid, s, gap),
             Style::Lower(s) => Shape::lower(&self.marks, &self.grid, s, gap),
+            Style::Given(s) => {
+                let what = format!("`{}`, which is no point of the parametric style space", s.name);
+                return Err(Error::unsupported(what, "the parametric style space"));
+            }
         };
         let raw = surface::extract(&shape, (0.7 * resolution_m).min(0.02));
         let (mut mesh, cuts) = remesh::remesh(&shape, &raw, resolution_m);
         self.push_out(&mut mesh);
         let loops = named_loops(&shape, &mesh, &cuts, style)?;
 
-        let (ids, grid) = &self.reach[usize::from(style.kind() == GarmentKind::Lower)];
-        let weights_body_vertex: Vec<u32> =
-            mesh.vertices.iter().map(|p| grid.nearest_point(p).map_or(0, |(i, _)| ids[i as usize])).collect();
+        let weights_body_vertex = self.nearest_skin(style.kind(), &mesh);
         let material_uv = grain::material_uv(&mesh, &self.body, &weights_body_vertex);
         let clearance_m = mesh.vertices.iter().map(|p| self.distance(p)).fold(f64::INFINITY, f64::min);
         Ok(Template {
             kind: style.kind(),
-            style: *style,
+            style: style.clone(),
             mesh,
             weights_body_vertex,
             loops,
@@ -186,7 +218,14 @@ impl Tailor {
             resolution_m,
             grain: grain::GRAIN_NOTE.into(),
             clearance_m,
+            given: None,
         })
+    }
+
+    /// Nearest body vertex of each garment vertex among those that it may hang on.
+    fn nearest_skin(&self, kind: GarmentKind, mesh: &TriMesh) -> Vec<u32> {
+        let (ids, grid) = &self.reach[usize::from(kind == GarmentKind::Lower)];
+        mesh.vertices.iter().map(|p| grid.nearest_point(p).map_or(0, |(i, _)| ids[i as usize])).collect()
     }
 
     /// Cuts many garments in parallel; the result does not depend on the number of threads.
@@ -198,10 +237,25 @@ impl Tailor {
         made.into_iter().collect()
     }
 
-    /// Signed distance of a point to the skin [m], negative inside; 0.06 beyond that.
-    fn distance(&self, p: &Vec3) -> f64 {
-        let d = self.cells.nearest(p, 0.06).map_or(0.06, |(_, d)| d);
-        if self.grid.value(p) < 0.0 { -d } else { d }
+    /// Signed distance of a point to the skin [m], negative inside, and the direction out of the body; `None` where the skin is
+    /// farther than `limit`.
+    pub(crate) fn skin(&self, p: &Vec3, limit: f64) -> Option<(f64, Vec3)> {
+        let (q, d, out) = self.cells.signed(p, limit)?;
+        // Well inside or outside, the grid's flood knows the side, also where limbs overlap.
+        let rough = self.grid.value(p);
+        let sure = rough.abs() > GRID_SURE;
+        if sure && (rough < 0.0) != (d < 0.0) {
+            return Some((-d, ((p - q) * -d.signum()).try_normalize(1e-9).unwrap_or(-out)));
+        }
+        Some((d, out))
+    }
+    /// Signed distance of a point to the skin [m], negative inside; [`FAR`] beyond that.
+    pub(crate) fn distance(&self, p: &Vec3) -> f64 {
+        match self.skin(p, FAR) {
+            Some((d, _)) => d,
+            None if self.grid.value(p) < 0.0 => -FAR,
+            None => FAR,
+        }
     }
 
     /// Moves vertices out until vertices, edge middles and face middles keep their clearance.
@@ -210,16 +264,13 @@ impl Tailor {
             let mut push = vec![(0.0f64, Vec3::zeros()); mesh.vertices.len()];
             let mut any = false;
             let mut need = |p: &Vec3, of: &[u32]| {
-                let rough = self.grid.value(p);
-                if rough > 2.0 * CLEARANCE {
+                if self.grid.value(p) > 2.0 * CLEARANCE {
                     return;
                 }
-                let Some((q, d)) = self.cells.nearest(p, 0.03) else { return };
-                let signed = if rough < 0.0 { -d } else { d };
+                let Some((signed, out)) = self.skin(p, 0.03) else { return };
                 let missing = CLEARANCE - signed;
                 if missing > 0.0 {
                     any = true;
-                    let out = ((p - q) * signed.signum()).try_normalize(1e-9).unwrap_or_else(Vec3::y);
                     for &v in of {
                         if missing > push[v as usize].0 {
                             push[v as usize] = (missing, out);

@@ -48,14 +48,28 @@ pub struct LowerStyle {
     pub rise: f64,
 }
 
-/// One point of the style space.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// A garment that was given rather than cut here.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GivenStyle {
+    /// What it covers.
+    pub garment: GarmentKind,
+    /// Its name: the file's, without folder and ending.
+    pub name: String,
+    /// Coefficients of its space; none for a single mesh.
+    pub coefficients: Vec<f64>,
+}
+
+/// Which garment a template is: a point of the parametric style space, or a given garment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Style {
     /// A shirt.
     Upper(UpperStyle),
     /// Trousers.
     Lower(LowerStyle),
+    /// A given garment.
+    Given(GivenStyle),
 }
 
 /// One axis of the style space.
@@ -69,6 +83,18 @@ pub struct StyleRange {
     pub lower: f64,
     /// Largest value.
     pub upper: f64,
+}
+
+impl StyleRange {
+    /// # Errors
+    /// [`Error::Parameter`] for a value outside (NaN too).
+    pub(crate) fn check(&self, value: f64) -> Result<()> {
+        if value >= self.lower && value <= self.upper {
+            return Ok(());
+        }
+        let (name, unit) = (self.name.into(), self.unit.into());
+        Err(Error::Parameter { name, value, lower: self.lower, upper: self.upper, unit })
+    }
 }
 
 const fn range(name: &'static str, unit: &'static str, lower: f64, upper: f64) -> StyleRange {
@@ -103,13 +129,15 @@ impl Style {
         match self {
             Self::Upper(_) => GarmentKind::Upper,
             Self::Lower(_) => GarmentKind::Lower,
+            Self::Given(s) => s.garment,
         }
     }
-    /// Values in the order of [`GarmentKind::ranges`].
+    /// Values in the order of [`GarmentKind::ranges`]; of a given garment its coefficients.
     pub fn values(&self) -> Vec<f64> {
         match self {
             Self::Upper(s) => vec![s.sleeve_length, s.body_length, s.looseness, s.neckline],
             Self::Lower(s) => vec![s.leg_length, s.looseness, s.rise],
+            Self::Given(s) => s.coefficients.clone(),
         }
     }
     /// The style with these values.
@@ -131,23 +159,15 @@ impl Style {
         style.check()?;
         Ok(style)
     }
-    /// Checks that every value lies in its range.
+    /// Checks that every value lies in its range; of a given garment, that its coefficients are finite.
     ///
     /// # Errors
-    /// [`Error::Parameter`] with the value and its range.
+    /// [`Error::Parameter`] with the value and its range, [`Error::NonFinite`] for a coefficient.
     pub fn check(&self) -> Result<()> {
-        for (value, r) in self.values().into_iter().zip(self.kind().ranges()) {
-            if !(value >= r.lower && value <= r.upper) {
-                return Err(Error::Parameter {
-                    name: r.name.into(),
-                    value,
-                    lower: r.lower,
-                    upper: r.upper,
-                    unit: r.unit.into(),
-                });
-            }
+        if let Self::Given(s) = self {
+            return Error::check_finite(&format!("style coefficients of {}", s.name), &s.coefficients);
         }
-        Ok(())
+        self.values().into_iter().zip(self.kind().ranges()).try_for_each(|(value, r)| r.check(value))
     }
     /// From coordinates in [0, 1] per axis; values outside are brought to the nearest bound.
     pub fn from_unit(kind: GarmentKind, unit: &[f64]) -> Result<Self> {
@@ -157,7 +177,7 @@ impl Style {
             unit.iter().zip(ranges).map(|(u, r)| r.lower + u.clamp(0.0, 1.0) * (r.upper - r.lower)).collect();
         Self::from_values(kind, &values)
     }
-    /// Coordinates in [0, 1] per axis.
+    /// Coordinates in [0, 1] per axis of the parametric style space.
     pub fn to_unit(&self) -> Vec<f64> {
         self.values().iter().zip(self.kind().ranges()).map(|(v, r)| (v - r.lower) / (r.upper - r.lower)).collect()
     }
@@ -166,8 +186,15 @@ impl Style {
 /// `count` styles that fill the style space evenly (a Halton sequence, shifted by the seed); the same for the same seed, and the
 /// first n of a longer row are the row of n.
 pub fn sample_styles(kind: GarmentKind, count: usize, seed: u64) -> Vec<Style> {
-    const BASES: [u64; 4] = [2, 3, 5, 7];
-    let dimensions = kind.ranges().len();
+    unit_samples(kind.ranges().len(), count, seed).filter_map(|unit| Style::from_unit(kind, &unit).ok()).collect()
+}
+
+/// Most axes that [`unit_samples`] fills evenly.
+pub(crate) const MOST_AXES: usize = 8;
+
+/// `count` points of the unit cube: a Halton sequence, shifted by the seed. At most [`MOST_AXES`] axes.
+pub(crate) fn unit_samples(dimensions: usize, count: usize, seed: u64) -> impl Iterator<Item = Vec<f64>> {
+    const BASES: [u64; MOST_AXES] = [2, 3, 5, 7, 11, 13, 17, 19];
     let shift: Vec<f64> = (0..dimensions as u64)
         .map(|d| {
             // SplitMix64: one well-mixed number per seed and axis.
@@ -177,13 +204,9 @@ pub fn sample_styles(kind: GarmentKind, count: usize, seed: u64) -> Vec<Style> {
             ((x ^ (x >> 31)) >> 11) as f64 / (1u64 << 53) as f64
         })
         .collect();
-    (1..=count as u64)
-        .filter_map(|i| {
-            let unit: Vec<f64> =
-                (0..dimensions).map(|d| (radical_inverse(i, BASES[d % BASES.len()]) + shift[d]).fract()).collect();
-            Style::from_unit(kind, &unit).ok()
-        })
-        .collect()
+    (1..=count as u64).map(move |i| {
+        (0..dimensions).map(|d| (radical_inverse(i, BASES[d % BASES.len()]) + shift[d]).fract()).collect()
+    })
 }
 
 fn radical_inverse(mut i: u64, base: u64) -> f64 {

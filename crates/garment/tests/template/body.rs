@@ -1,6 +1,8 @@
-//! Bodies to cut garments on: one of capsules, and the free Anny body where it is there.
+//! Bodies to cut garments on: one of capsules, the mannequin, and the free Anny body where it is there.
 
-use caphy_core::body::BlendWeights;
+use caphy_bodymodel as _;
+use caphy_core::body::{BlendWeights, BodyParameters, BodySpec};
+use caphy_core::files::Disk;
 use caphy_core::pose::{SMPLX_JOINTS, smplx_joint};
 use caphy_core::{TriMesh, Vec3};
 use caphy_garment::template::BodyRest;
@@ -98,26 +100,39 @@ pub(crate) fn capsules() -> BodyRest {
     BodyRest::new(b.mesh, b.joints, BlendWeights::from_rows(b.rows)).unwrap()
 }
 
-/// The Anny body of the shared data; `None`, said aloud, where it is missing.
+/// The shared data's folder.
+pub(crate) fn shared() -> PathBuf {
+    std::env::var_os("CAPHY_SHARED")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")), PathBuf::from)
+}
+
+/// The T-posed body of a `[body]` table and a shape.
+fn model(spec: &str, shape: &[f64]) -> BodyRest {
+    let body = toml::from_str::<Box<dyn BodySpec>>(spec).unwrap().build(&Disk).unwrap();
+    let parameters = BodyParameters::rest(body.describe().joints.len(), shape);
+    BodyRest::from_model(&*body, &parameters).unwrap()
+}
+
+/// The embedded default body.
+pub(crate) fn mannequin() -> BodyRest {
+    model("type = \"mannequin\"", &[])
+}
+
+/// The Anny body of the shared data with its mean shape; `None`, said aloud, where it is missing.
 pub(crate) fn anny() -> Option<BodyRest> {
-    let shared = std::env::var_os("CAPHY_SHARED")
-        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")), PathBuf::from);
-    let path = shared.join("data/body/anny_smplx_layout.npz");
-    let Ok(bytes) = std::fs::read(&path) else {
+    let path = shared().join("data/body/anny_smplx_layout.npz");
+    if !path.exists() {
         println!("SKIPPED: {} is not there (set CAPHY_SHARED)", path.display());
         return None;
-    };
-    let npz = caphy_formats::npz::Npz::from_bytes(&path, bytes).unwrap();
-    let points = npz.f64s("v_template").unwrap().data;
-    let vertices: Vec<Vec3> = points.chunks(3).map(|p| Vec3::new(p[0], p[1], p[2])).collect();
-    let faces: Vec<[u32; 3]> =
-        npz.i64s("f").unwrap().data.chunks(3).map(|f| [f[0] as u32, f[1] as u32, f[2] as u32]).collect();
-    let n = vertices.len();
-    let regressor = npz.f64s("J_regressor").unwrap().data;
-    let joints = regressor.chunks(n).map(|row| row.iter().zip(&vertices).map(|(w, p)| p * *w).sum()).collect();
-    let weights = npz.f64s("weights").unwrap().data;
-    let rows = weights
-        .chunks(SMPLX_JOINTS.len())
-        .map(|row| row.iter().enumerate().filter(|(_, w)| **w != 0.0).map(|(j, w)| (j as u16, *w)).collect());
-    Some(BodyRest::new(TriMesh { vertices, faces }, joints, BlendWeights::from_rows(rows)).unwrap())
+    }
+    Some(model(&format!("type = \"smplx\"\npath = '{}'", path.display()), &[]))
+}
+
+/// The Anny body with the shape that the shared garments were made for.
+pub(crate) fn anny_mid() -> Option<BodyRest> {
+    anny()?;
+    let path = shared().join("data/body/anny_smplx_layout.npz");
+    let npz = caphy_formats::npz::Npz::from_bytes(&path, std::fs::read(&path).unwrap()).unwrap();
+    let shape = npz.f64s("ref__0__mid_betas").unwrap().data;
+    Some(model(&format!("type = \"smplx\"\npath = '{}'", path.display()), &shape))
 }

@@ -2,6 +2,7 @@
 
 mod body;
 mod choice;
+mod given;
 
 use caphy_core::query::{Adjacency, NearestGrid, boundary_loops, hinges};
 use caphy_core::{Error, TriMesh, Vec3};
@@ -212,6 +213,25 @@ fn check_all(body: &BodyRest, resolution: f64) {
 #[test]
 fn garments_on_capsules_are_sound() {
     check_all(&body::capsules(), 0.025);
+}
+
+#[test]
+fn garments_on_the_mannequin_are_sound() {
+    check_all(&body::mannequin(), 0.025);
+}
+
+#[test]
+fn no_style_fails_at_the_resolution_of_choosing() {
+    for body in [Some(body::mannequin()), body::anny()].into_iter().flatten() {
+        let tailor = Tailor::new(body).unwrap();
+        for kind in [GarmentKind::Upper, GarmentKind::Lower] {
+            for t in tailor.generate_all(&sample_styles(kind, 300, 7), 0.035).unwrap() {
+                check_topology(&t);
+                check_triangles(&t);
+                assert!(t.clearance_m > 0.003, "{:?}: {} m", t.style, t.clearance_m);
+            }
+        }
+    }
 }
 
 #[test]

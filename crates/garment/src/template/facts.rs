@@ -1,0 +1,266 @@
+//! Facts about a template, for reports.
+
+use super::{GarmentKind, GivenFacts, Style, Template};
+use caphy_core::query::hinges;
+use caphy_core::{TriMesh, Vec3};
+use serde::Serialize;
+use std::collections::BinaryHeap;
+
+/// Values at shares of a sorted row.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Quantiles {
+    /// The smallest.
+    pub least: f64,
+    /// 5th percentile.
+    pub p05: f64,
+    /// 50th percentile.
+    pub median: f64,
+    /// 95th percentile.
+    pub p95: f64,
+    /// The largest.
+    pub largest: f64,
+}
+
+impl Quantiles {
+    /// Of values in any order; zeros without values.
+    pub fn of(mut values: Vec<f64>) -> Self {
+        values.sort_by(f64::total_cmp);
+        let at = |q: f64| values.get((q * (values.len().max(1) - 1) as f64).round() as usize).copied().unwrap_or(0.0);
+        Self { least: at(0.0), p05: at(0.05), median: at(0.5), p95: at(0.95), largest: at(1.0) }
+    }
+}
+
+/// A boundary loop.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LoopFacts {
+    /// As in [`super::NamedLoop`].
+    pub name: String,
+    /// Number of vertices.
+    pub vertices: usize,
+    /// Length along it [m].
+    pub girth_m: f64,
+    /// Whether the body holds it.
+    pub held: bool,
+}
+
+/// The shortest way on the garment from one loop to another.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LengthFacts {
+    /// First loop.
+    pub from: String,
+    /// Second loop.
+    pub to: String,
+    /// Length [m], along edges and across pairs of triangles: some percent longer than the true one at most.
+    pub length_m: f64,
+}
+
+/// What there is to say about a template.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GarmentFacts {
+    /// Upper or lower.
+    pub kind: GarmentKind,
+    /// Its point in the style space, or the garment that it is.
+    pub style: Style,
+    /// Number of vertices.
+    pub vertices: usize,
+    /// Number of triangles.
+    pub faces: usize,
+    /// Area [m²].
+    pub area_m2: f64,
+    /// Edge length asked for; of a given garment the mean [m].
+    pub resolution_m: f64,
+    /// Edge lengths [m], each edge once.
+    pub edge_length_m: Quantiles,
+    /// Angles of triangles [°].
+    pub angle_deg: Quantiles,
+    /// Smallest distance of vertices to the skin [m].
+    pub clearance_m: f64,
+    /// Boundary loops.
+    pub loops: Vec<LoopFacts>,
+    /// Ways between loops.
+    pub lengths: Vec<LengthFacts>,
+    /// What the grain follows.
+    pub grain: String,
+    /// Triangles of the material layout over those of the template, by area: below 1 where the worn garment is stretched.
+    pub layout_area_ratio: f64,
+    /// What was done to a given garment.
+    pub given: Option<GivenFacts>,
+}
+
+/// Edge lengths, each edge once [m].
+pub(crate) fn edge_lengths(mesh: &TriMesh) -> Vec<f64> {
+    let mut edges: Vec<[u32; 2]> =
+        mesh.faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).map(|[a, b]| [a.min(b), a.max(b)]).collect();
+    edges.sort_unstable();
+    edges.dedup();
+    edges.iter().map(|e| (mesh.vertices[e[0] as usize] - mesh.vertices[e[1] as usize]).norm()).collect()
+}
+
+/// Angles of all corners [°].
+fn angles(mesh: &TriMesh) -> Vec<f64> {
+    (0..mesh.faces.len())
+        .flat_map(|f| {
+            let p = mesh.corners(f);
+            [0, 1, 2].map(|k| (p[(k + 1) % 3] - p[k]).angle(&(p[(k + 2) % 3] - p[k])).to_degrees())
+        })
+        .collect()
+}
+
+/// Ways from each vertex: along edges, and straight across pairs of triangles where they unfold to a convex shape.
+fn ways(mesh: &TriMesh) -> Vec<Vec<(u32, f64)>> {
+    let mut out = vec![Vec::new(); mesh.vertices.len()];
+    let mut add = |a: u32, b: u32, length: f64| {
+        out[a as usize].push((b, length));
+        out[b as usize].push((a, length));
+    };
+    let mut edges: Vec<[u32; 2]> =
+        mesh.faces.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).map(|[a, b]| [a.min(b), a.max(b)]).collect();
+    edges.sort_unstable();
+    edges.dedup();
+    for [a, b] in edges {
+        add(a, b, (mesh.vertices[a as usize] - mesh.vertices[b as usize]).norm());
+    }
+    for hinge in hinges(&mesh.faces).0 {
+        let [a, b, c, d] = hinge.vertices.map(|v| mesh.vertices[v as usize]);
+        let edge = b - a;
+        let length = edge.norm();
+        if length == 0.0 {
+            continue;
+        }
+        // Both opposite corners in the plane of the unfolded pair, the edge along x.
+        let flat = |p: &Vec3| {
+            let along = (p - a).dot(&edge) / length;
+            (along, (p - a - edge * (along / length)).norm())
+        };
+        let ((x0, y0), (x1, y1)) = (flat(&c), flat(&d));
+        let crossing = x0 + (x1 - x0) * y0 / (y0 + y1).max(1e-300);
+        if crossing > 0.0 && crossing < length {
+            add(hinge.vertices[2], hinge.vertices[3], (x1 - x0).hypot(y0 + y1));
+        }
+    }
+    out
+}
+
+/// Length of the shortest way from any of `from` to each vertex [m] (Dijkstra).
+fn distances(ways: &[Vec<(u32, f64)>], from: &[u32]) -> Vec<f64> {
+    // Lengths are not negative: their bits sort as they do.
+    let mut best = vec![f64::INFINITY; ways.len()];
+    let mut queue: BinaryHeap<std::cmp::Reverse<(u64, u32)>> = BinaryHeap::new();
+    for &v in from {
+        best[v as usize] = 0.0;
+        queue.push(std::cmp::Reverse((0, v)));
+    }
+    while let Some(std::cmp::Reverse((bits, v))) = queue.pop() {
+        let so_far = f64::from_bits(bits);
+        if so_far > best[v as usize] {
+            continue;
+        }
+        for &(w, length) in &ways[v as usize] {
+            let next = so_far + length;
+            if next < best[w as usize] {
+                best[w as usize] = next;
+                queue.push(std::cmp::Reverse((next.to_bits(), w)));
+            }
+        }
+    }
+    best
+}
+
+impl Template {
+    /// Everything worth telling.
+    pub fn facts(&self) -> GarmentFacts {
+        let ways = ways(&self.mesh);
+        let mut lengths = Vec::new();
+        for (i, from) in self.loops.iter().enumerate() {
+            let reached = distances(&ways, &from.vertices);
+            for to in &self.loops[i + 1..] {
+                let length_m = to.vertices.iter().map(|&v| reached[v as usize]).fold(f64::INFINITY, f64::min);
+                lengths.push(LengthFacts { from: from.name.clone(), to: to.name.clone(), length_m });
+            }
+        }
+        let held: Vec<&str> = self.attachments().map(|l| l.name.as_str()).collect();
+        let loops = self
+            .loops
+            .iter()
+            .zip(self.girths())
+            .map(|(l, (_, girth_m))| LoopFacts {
+                name: l.name.clone(),
+                vertices: l.vertices.len(),
+                girth_m,
+                held: held.contains(&l.name.as_str()),
+            })
+            .collect();
+        let flat = |t: &[[f64; 2]; 3]| {
+            0.5 * ((t[1][0] - t[0][0]) * (t[2][1] - t[0][1]) - (t[2][0] - t[0][0]) * (t[1][1] - t[0][1])).abs()
+        };
+        GarmentFacts {
+            kind: self.kind,
+            style: self.style.clone(),
+            vertices: self.mesh.vertices.len(),
+            faces: self.mesh.faces.len(),
+            area_m2: self.area(),
+            resolution_m: self.resolution_m,
+            edge_length_m: Quantiles::of(edge_lengths(&self.mesh)),
+            angle_deg: Quantiles::of(angles(&self.mesh)),
+            clearance_m: self.clearance_m,
+            loops,
+            lengths,
+            grain: self.grain.clone(),
+            layout_area_ratio: self.material_uv.iter().map(flat).sum::<f64>() / self.area(),
+            given: self.given.clone(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::template::NamedLoop;
+
+    #[test]
+    fn a_tube_is_described() {
+        // Radius 0.1, height 0.4, 24 around, 9 rings.
+        let mut mesh = TriMesh::default();
+        for i in 0..9 {
+            for k in 0..24 {
+                let (s, c) = (std::f64::consts::TAU * f64::from(k) / 24.0).sin_cos();
+                mesh.vertices.push(Vec3::new(0.1 * c, 0.05 * f64::from(i), 0.1 * s));
+            }
+        }
+        for i in 0..8u32 {
+            for k in 0..24 {
+                let (p, q) = (24 * i + k, 24 * i + (k + 1) % 24);
+                mesh.faces.extend([[p, p + 24, q], [q, p + 24, q + 24]]);
+            }
+        }
+        let ring = |name: &str, ids: std::ops::Range<u32>| NamedLoop { name: name.into(), vertices: ids.collect() };
+        let uv = (0..mesh.faces.len()).map(|f| mesh.corners(f)).map(|p| {
+            let side = (p[1] - p[0]).norm();
+            let x = (p[2] - p[0]).dot(&(p[1] - p[0])) / side;
+            [[0.0, 0.0], [side, 0.0], [x, ((p[2] - p[0]).norm_squared() - x * x).sqrt()]]
+        });
+        let style = Style::from_values(GarmentKind::Lower, &[0.5, 0.01, 0.5]).unwrap();
+        let template = Template {
+            kind: GarmentKind::Lower,
+            style,
+            weights_body_vertex: vec![0; mesh.vertices.len()],
+            loops: vec![ring("waist", 192..216), ring("hem", 0..24)],
+            material_uv: uv.collect(),
+            mesh,
+            resolution_m: 0.05,
+            grain: "test".into(),
+            clearance_m: 0.004,
+            given: None,
+        };
+        let facts = template.facts();
+        assert_eq!(facts.lengths.len(), 1);
+        assert!((facts.lengths[0].length_m - 0.4).abs() < 1e-12, "{:?}", facts.lengths);
+        let chord = 0.2 * (std::f64::consts::PI / 24.0).sin();
+        assert!((facts.loops[0].girth_m - 24.0 * chord).abs() < 1e-12 && facts.loops[0].held && !facts.loops[1].held);
+        assert!((facts.layout_area_ratio - 1.0).abs() < 1e-12);
+        assert!((facts.edge_length_m.least - chord).abs() < 1e-12);
+        assert!((facts.edge_length_m.largest - chord.hypot(0.05)).abs() < 1e-12);
+        assert!((facts.angle_deg.largest - 90.0).abs() < 1e-6);
+        assert!(serde_json::to_string(&facts).unwrap().contains("\"girth_m\""));
+    }
+}
