@@ -9,9 +9,11 @@ targets=("$@")
 [ ${#targets[@]} -gt 0 ] || targets=(obj ply npz smpl_npz bvh asf_amc safetensors)
 
 export RUSTC_BOOTSTRAP=1
-coverage="-sanitizer-coverage-level=4 -sanitizer-coverage-inline-8bit-counters -sanitizer-coverage-pc-table -sanitizer-coverage-trace-compares"
-RUSTFLAGS="-Cpasses=sancov-module -Clink-dead-code -Cdebug-assertions -Ccodegen-units=1 --cfg fuzzing"
-for flag in $coverage; do RUSTFLAGS+=" -Cllvm-args=$flag"; done
+RUSTFLAGS="-Cpasses=sancov-module"
+for option in level=4 inline-8bit-counters pc-table trace-compares; do
+  RUSTFLAGS+=" -Cllvm-args=-sanitizer-coverage-$option"
+done
+RUSTFLAGS+=" --cfg fuzzing -Clink-dead-code -Cdebug-assertions -Ccodegen-units=1"
 export RUSTFLAGS
 # With a target of its own, build scripts and macros are left alone.
 host="$(rustc -vV | sed -n 's/^host: //p')"

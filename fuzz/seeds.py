@@ -73,14 +73,24 @@ def npz():
 
 
 def smpl_npz():
-    for mode, width, rate in ((2, 165, "mocap_framerate"), (7, 156, "mocap_frame_rate")):
-        parts = {
-            "poses": npy("<f4", f"(2, {width})", struct.pack(f"<{2 * width}f", *(0.001 * i for i in range(2 * width)))),
-            "trans": npy("<f8", "(2, 3)", struct.pack("<6d", *range(6))),
-            rate: npy("<f8", "()", struct.pack("<d", 120.0)),
-        }
-        put("smpl_npz", f"entries-{width}", bytes([mode]) + b"\n--\n".join(parts.values()))
-        put("smpl_npz", f"archive-{width}", bytes([mode & 1]) + archive(parts, zipfile.ZIP_DEFLATED))
+    def floats(rows, width, matrices=False):
+        identity = [1.0, 0, 0, 0, 1, 0, 0, 0, 1]
+        values = [identity[i % 9] if matrices else 0.001 * i for i in range(rows * width)]
+        return struct.pack(f"<{rows * width}f", *values)
+
+    trans = npy("<f8", "(2, 3)", struct.pack("<6d", *range(6)))
+    rate = npy("<f8", "()", struct.pack("<d", 120.0))
+    for mode, width in ((4, 165), (7, 156), (12, 72), (13, 66)):
+        poses = npy("<f4", f"(2, {width})", floats(2, width))
+        put("smpl_npz", f"entries-{width}", bytes([mode]) + b"\n--\n".join([poses, trans, rate]))
+    archived = {"poses": npy("<f4", "(2, 165)", floats(2, 165)), "trans": trans, "mocap_framerate": rate}
+    put("smpl_npz", "archive", b"\1" + archive(archived, zipfile.ZIP_DEFLATED))
+    parts = [npy("<f4", "(2, 3)", floats(2, 3)), npy("<f4", "(2, 63)", floats(2, 63)), trans, rate,
+             npy("<f4", "(2, 90)", floats(2, 90)), npy("<f4", "(2, 3)", floats(2, 3))]
+    put("smpl_npz", "parts", bytes([20]) + b"\n--\n".join(parts))
+    matrices = [npy("<f4", "(2, 1, 3, 3)", floats(2, 9, True)), npy("<f4", "(2, 21, 3, 3)", floats(2, 189, True)), trans,
+                rate]
+    put("smpl_npz", "matrices", bytes([30]) + b"\n--\n".join(matrices))
 
 
 def asf_amc():

@@ -392,10 +392,10 @@ impl Header {
             .filter(|n| !n.is_empty())
             .map(|n| n.parse::<usize>().map_err(|_| format!("axis length `{n:.40}` in the shape")))
             .collect::<std::result::Result<Vec<_>, _>>()?;
-        let count = shape
-            .iter()
-            .try_fold(1usize, |a, &n| a.checked_mul(n))
-            .ok_or_else(|| format!("shape {shape:?} overflows"))?;
+        // Axes of length 0 must not hide an overflow: callers multiply some of the axes.
+        let full = shape.iter().try_fold(1usize, |a, &n| a.checked_mul(n.max(1)));
+        let full = full.ok_or_else(|| format!("shape {shape:?} overflows"))?;
+        let count = if shape.contains(&0) { 0 } else { full };
         // Elements of no bytes ('<U0') would make the count free of any file size.
         if kind.size() == 0 && count > LONGEST_HEADER {
             return Err(format!("{count} empty texts"));

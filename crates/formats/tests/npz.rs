@@ -121,8 +121,9 @@ fn headers_that_lie_are_refused_before_memory_is_taken() {
     let long = [b"\x93NUMPY\x02\x00".as_slice(), &u32::MAX.to_le_bytes()].concat();
     let wrong = b"something else, long enough".to_vec();
     let nothing = Vec::new();
-    let npz = open(&[("long", long), ("wrong", wrong), ("nothing", nothing)]);
-    for name in ["long", "wrong", "nothing"] {
+    let hidden = npy("<f8", false, "(0, 18446744073709551615, 2)", &[]);
+    let npz = open(&[("long", long), ("wrong", wrong), ("nothing", nothing), ("hidden", hidden)]);
+    for name in ["long", "wrong", "nothing", "hidden"] {
         assert!(npz.f64s(name).is_err(), "{name}");
     }
 }
