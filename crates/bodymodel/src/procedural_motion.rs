@@ -294,7 +294,8 @@ fn posture(kind: MotionKind, t: f64, size: f64, pace: f64) -> Posture {
     let on = onset(t) * size;
     match kind {
         MotionKind::APose => {}
-        MotionKind::Walk => walk(&mut p, t, on, 0.9 * pace),
+        // Not below the natural size, where a swinging foot would graze the ground.
+        MotionKind::Walk => walk(&mut p, t, onset(t) * (0.6 + 0.45 * size), 0.9 * pace),
         MotionKind::Squat => {
             let down = on * swell(0.33 * pace * t);
             p.knee = [1.75 * down; 2];
@@ -365,7 +366,7 @@ fn walked(t: f64) -> f64 {
 }
 
 /// Hip flexion, knee flexion and plantar flexion of the ankle over a stride from heel strike, every 5 % [degrees]: walking at a natural
-/// pace as in textbooks of gait (after Winter, *Biomechanics and Motor Control of Human Gait*), rounded.
+/// pace as in textbooks of gait (after Winter, *Biomechanics and Motor Control of Human Gait*), rounded, toes a little higher in the swing.
 const GAIT: [[f64; 20]; 3] = [
     [
         22.0, 21.0, 18.5, 15.0, 11.0, 7.0, 3.0, -1.0, -4.5, -8.0, -10.5, -11.0, -8.0, -2.0, 6.0, 13.0, 18.0, 21.5,
@@ -579,7 +580,7 @@ mod tests {
                 }
                 // Fastest where the ground passes from foot to foot, and while steps grow out of standing. Toes of a captured
                 // walk (CMU 35_01) show 0.08 m/s as their median while standing, 0.48 as their 90th percentile.
-                assert!(worst[0] < 0.6 && worst[1] < 0.6 && mean < 0.1, "{kind:?} {seed}: {worst:?} {mean} m/s");
+                assert!(worst[0] < 0.4 && worst[1] < 0.6 && mean < 0.08, "{kind:?} {seed}: {worst:?} {mean} m/s");
             }
         }
         let walk = procedural_clip(MotionKind::Walk, 1, 6.0, 30.0).unwrap();

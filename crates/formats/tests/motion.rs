@@ -2,10 +2,12 @@
 
 mod support;
 
-use caphy_core::motion::MotionClip;
+use caphy_core::motion::{ClipPreparation, MotionClip, MotionLimits, MotionWindows, sort_clips};
 use caphy_core::pose::{Pose, SMPLX_PARENTS, smplx_joint};
 use caphy_core::{Result, Vec3};
-use caphy_formats::motion::{SkeletonMapping, SmplNpzOptions, TranslationMeaning, UpAxis, read_asf_amc, read_smpl_npz};
+use caphy_formats::motion::{
+    SkeletonMapping, SmplNpzOptions, TranslationMeaning, UpAxis, read_asf_amc, read_bvh, read_smpl_npz,
+};
 use nalgebra::UnitQuaternion;
 use npyz::WriterBuilder;
 use npyz::npz::NpzWriter;
@@ -103,6 +105,43 @@ fn archive(entries: Vec<Entry>) -> Vec<u8> {
         }
     }
     bytes.into_inner()
+}
+
+/// Recorded people are sound but for the glitches of their markers.
+#[test]
+fn few_windows_of_recorded_clips_are_dropped() {
+    let at_rate = ClipPreparation { smoothing: 0.0, fps: 30.0, limits: Some(MotionLimits::default()) };
+    let mut clips = Vec::new();
+    for name in ["cmu_35_01_smplh", "cmu_49_18_smplh", "cmu_49_19_smplx", "cmu_01_01_smplx"] {
+        let Some(npz) = support::shared(&format!("data/mocap/{name}.npz")) else { return };
+        clips.push(read_amass_npz(Path::new(name), npz, &PELVIS).unwrap());
+    }
+    let Some(bvh) = support::shared("data/mocap/cmu_131_01.bvh") else { return };
+    clips.push(read_bvh(Path::new("cmu_131_01.bvh"), &bvh, &SkeletonMapping::cmu_bvh().unwrap(), &PELVIS).unwrap());
+    let mut prepared: Vec<_> = clips.iter().map(|clip| at_rate.prepare(clip).unwrap()).collect();
+    for clip in &prepared {
+        let facts = clip.facts(5);
+        println!("{}: {} windows, {} dropped", facts.name, facts.windows, facts.dropped_windows);
+        facts.findings.iter().for_each(|f| println!("  {f}"));
+        assert!(facts.windows as f64 > 0.75 * (facts.frames - 4) as f64, "{}", facts.name);
+    }
+    sort_clips(&mut prepared).unwrap();
+    let windows = MotionWindows::new(&prepared, 5).unwrap();
+    println!("{}", windows.report);
+    // A broken copy of a clip loses its broken windows and no others.
+    let mut broken = clips[0].clone();
+    broken.poses[200].rotations[smplx_joint("left_knee").unwrap()] = Vec3::new(-2.0, 0.0, 0.0);
+    broken.poses[300..].iter_mut().for_each(|p| p.translation.x += 1.0);
+    let (before, after) = (at_rate.prepare(&clips[0]).unwrap().facts(5), at_rate.prepare(&broken).unwrap().facts(5));
+    assert!(
+        after.windows < before.windows && after.windows + 12 >= before.windows,
+        "{} {}",
+        before.windows,
+        after.windows
+    );
+    let reasons =
+        |joint: &str| after.findings.iter().filter(|f| f.joint == joint).map(|f| f.first_frame).collect::<Vec<_>>();
+    assert!(reasons("left_knee").contains(&200) && reasons("pelvis").contains(&300), "{:?}", after.findings);
 }
 
 fn amass(width: u64, rate: &'static str, fps: f64, fill: impl Fn(usize) -> f64, trans_frames: u64) -> Vec<u8> {
