@@ -309,6 +309,16 @@ fn a_sunken_garment_is_brought_out_smoothly() {
     options.penetration.deepest_m = 0.001;
     let deep = tailor().fit(given("shirt", sunken), &[], 0.02, &options).unwrap_err().to_string();
     assert!(deep.contains("mm inside the body") && deep.contains("vertex"), "{deep}");
+    for (name, change) in [
+        ("clearance_m", (|o: &mut FitOptions| o.penetration.clearance_m = -1.0) as fn(&mut FitOptions)),
+        ("deepest_m", |o| o.penetration.deepest_m = 0.2),
+        ("share", |o| o.penetration.share = f64::NAN),
+    ] {
+        let mut wrong = FitOptions::default();
+        change(&mut wrong);
+        let e = tailor().fit(given("shirt", own.mesh.clone()), &[], 0.02, &wrong).unwrap_err();
+        assert!(e.to_string().contains(name), "{e}");
+    }
 }
 
 fn spec(text: &str) -> Box<dyn TemplateSpec> {

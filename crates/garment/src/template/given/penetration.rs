@@ -5,7 +5,7 @@
 //! where nothing needs a push. Samples lie on every triangle, so that no triangle dips into the
 //! skin between its corners.
 
-use crate::template::Tailor;
+use crate::template::{StyleRange, Tailor};
 use caphy_core::query::Adjacency;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use rayon::prelude::*;
@@ -30,6 +30,17 @@ pub struct PenetrationOptions {
 impl Default for PenetrationOptions {
     fn default() -> Self {
         Self { clearance_m: 0.003, deepest_m: 0.04, share: 0.5 }
+    }
+}
+
+impl PenetrationOptions {
+    /// # Errors
+    /// [`Error::Parameter`] for a limit that cannot be held: distances to the skin are told apart up to 6 cm.
+    fn check(&self) -> Result<()> {
+        let range = |name, unit, upper| StyleRange { name, unit, lower: 0.0, upper };
+        range("clearance_m", "m", 0.03).check(self.clearance_m)?;
+        range("deepest_m", "m", crate::template::FAR - 1e-3).check(self.deepest_m)?;
+        range("share", "1", 1.0).check(self.share)
     }
 }
 
@@ -164,6 +175,7 @@ pub(super) fn resolve(
     tailor: &Tailor,
     options: &PenetrationOptions,
 ) -> Result<PenetrationFacts> {
+    options.check()?;
     let (share, deepest, vertex) = inside(mesh, tailor);
     let remedy =
         "fit the garment to this body's shape first; the limits are `share` and `deepest_m` of its penetration";
