@@ -138,9 +138,9 @@ fn smoothing_keeps_sums_and_softens_a_jump() {
     let body_weights = BlendWeights::from_rows(rows);
     let hard = nearest_weights(&template, &body, &body_weights).unwrap();
     assert_eq!(hard, body_weights);
-    let none = WeightOptions { smoothing: 0, ..Default::default() };
-    assert_eq!(garment_weights(&template, &faces, &body, &body_weights, &none).unwrap(), hard);
-    let soft = garment_weights(&template, &faces, &body, &body_weights, &WeightOptions::default()).unwrap();
+    let weights = |options: &WeightOptions| garment_weights(&template, &faces, &body, &body_weights, options);
+    assert_eq!(weights(&WeightOptions::nearest()).unwrap(), hard);
+    let soft = weights(&WeightOptions { smoothing_m: 0.035, ..Default::default() }).unwrap();
     let share = |v: usize| soft.row(v).find(|e| e.0 == 9).map_or(0.0, |e| e.1);
     for v in 0..40 {
         assert!((soft.row(v).map(|e| e.1).sum::<f64>() - 1.0).abs() < 1e-12);
@@ -151,6 +151,55 @@ fn smoothing_keeps_sums_and_softens_a_jump() {
     assert!(share(0) < 0.2 && share(39) > 0.8);
     assert!(nearest_weights(&template, &[], &BlendWeights::from_rows([])).is_err());
     assert!(nearest_weights(&template, &body[1..], &body_weights).is_err());
-    assert!(smoothed_weights(&hard, &[[0, 1, 40]], &WeightOptions::default()).is_err());
-    assert!(smoothed_weights(&hard, &faces, &WeightOptions { step: 1.5, ..Default::default() }).is_err());
+    let default = WeightOptions::default();
+    assert!(smoothed_weights(&hard, &template, &[[0, 1, 40]], &default).is_err());
+    assert!(smoothed_weights(&hard, &template[1..], &faces, &default).is_err());
+    for smoothing_m in [-0.1, 0.6, f64::NAN] {
+        assert!(weights(&WeightOptions { smoothing_m, ..default }).unwrap_err().to_string().contains("smoothing"));
+    }
+    assert!(weights(&WeightOptions { joints: 0, ..default }).is_err());
+    // Without faces there is nothing to smooth over.
+    assert_eq!(smoothed_weights(&hard, &template, &[], &default).unwrap(), hard);
+}
+
+#[test]
+fn smoothing_means_the_same_at_every_resolution() {
+    // A sheet of equilateral triangles, 0.6 × 0.3 m; the left half belongs to joint 0, the right one to joint 1. Smoothing a
+    // step with standard deviation σ gives the normal distribution's sum: 84.1 % at σ.
+    let shares = |edge: f64| {
+        let (columns, rows) = ((0.6 / edge) as usize, (0.3 / (edge * 0.75f64.sqrt())) as usize);
+        let mut points = Vec::new();
+        for j in 0..rows {
+            for i in 0..columns {
+                let x = edge * (i as f64 + 0.5 * (j % 2) as f64) - 0.3;
+                points.push(Vec3::new(x, edge * 0.75f64.sqrt() * j as f64, 0.0));
+            }
+        }
+        let mut faces = Vec::new();
+        for j in 0..rows as u32 - 1 {
+            for i in 0..columns as u32 - 1 {
+                let p = j * columns as u32 + i;
+                let q = p + columns as u32;
+                faces.extend(if j % 2 == 0 {
+                    [[p, p + 1, q], [p + 1, q + 1, q]]
+                } else {
+                    [[p, p + 1, q + 1], [p, q + 1, q]]
+                });
+            }
+        }
+        let hard = BlendWeights::from_rows(points.iter().map(|p| vec![(u16::from(p.x > 0.0), 1.0)]));
+        let options = WeightOptions { smoothing_m: 0.05, ..Default::default() };
+        let soft = smoothed_weights(&hard, &points, &faces, &options).unwrap();
+        let row = rows / 2 * columns;
+        let share = |v: usize| soft.row(v).find(|e| e.0 == 1).map_or(0.0, |e| e.1);
+        // The share at x = σ, between the vertices of the middle row.
+        let at = (row..row + columns - 1).find(|&v| points[v + 1].x > 0.05).unwrap();
+        let t = (0.05 - points[at].x) / (points[at + 1].x - points[at].x);
+        share(at) * (1.0 - t) + share(at + 1) * t
+    };
+    for edge in [0.01, 0.02] {
+        let share = shares(edge);
+        // The step lies between two vertices: half an edge, or a tenth to a fifth of σ, times the density 0.24.
+        assert!((share - 0.841).abs() < 0.24 * 0.5 * edge / 0.05 + 0.01, "{edge}: {share}");
+    }
 }

@@ -173,6 +173,19 @@ impl DistanceGrid {
     }
 }
 
+/// Unit vertex normals weighted by the angle of each face, which do not depend on how quads are cut; zero without faces.
+pub(crate) fn angle_weighted_normals(mesh: &TriMesh) -> Vec<Vec3> {
+    let mut normals = vec![Vec3::zeros(); mesh.vertices.len()];
+    for (f, face) in mesh.faces.iter().enumerate() {
+        let p = mesh.corners(f);
+        let n = (p[1] - p[0]).cross(&(p[2] - p[0])).try_normalize(0.0).unwrap_or_else(Vec3::zeros);
+        for k in 0..3 {
+            normals[face[k] as usize] += n * (p[(k + 1) % 3] - p[k]).angle(&(p[(k + 2) % 3] - p[k]));
+        }
+    }
+    normals.into_iter().map(|n| n.try_normalize(0.0).unwrap_or_else(Vec3::zeros)).collect()
+}
+
 fn signed_volume(mesh: &TriMesh) -> f64 {
     (0..mesh.faces.len())
         .map(|f| {
@@ -237,16 +250,14 @@ impl TriangleCells {
         let unit = |n: Vec3| n.try_normalize(0.0).unwrap_or_else(Vec3::zeros);
         let face_normals: Vec<Vec3> =
             triangles.iter().map(|[a, b, c]| unit((b - a).cross(&(c - a))) * turned).collect();
-        let mut vertex_normals = vec![Vec3::zeros(); mesh.vertices.len()];
+        let vertex_normals = angle_weighted_normals(mesh).into_iter().map(|n| n * turned).collect();
         let mut by_edge: std::collections::HashMap<[u32; 2], Vec3> = std::collections::HashMap::new();
-        for ((face, p), n) in mesh.faces.iter().zip(&triangles).zip(&face_normals) {
+        for (face, n) in mesh.faces.iter().zip(&face_normals) {
             for k in 0..3 {
-                let (l, r) = ((k + 1) % 3, (k + 2) % 3);
-                vertex_normals[face[k] as usize] += n * (p[l] - p[k]).angle(&(p[r] - p[k]));
-                *by_edge.entry([face[k].min(face[l]), face[k].max(face[l])]).or_insert_with(Vec3::zeros) += n;
+                let (a, b) = (face[k], face[(k + 1) % 3]);
+                *by_edge.entry([a.min(b), a.max(b)]).or_insert_with(Vec3::zeros) += n;
             }
         }
-        vertex_normals.iter_mut().for_each(|n| *n = unit(*n));
         let side = |f: &[u32; 3], k: usize| {
             let (a, b) = (f[k], f[(k + 1) % 3]);
             by_edge.get(&[a.min(b), a.max(b)]).map_or_else(Vec3::zeros, |n| unit(*n))

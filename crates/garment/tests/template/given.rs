@@ -309,6 +309,16 @@ fn a_sunken_garment_is_brought_out_smoothly() {
     options.penetration.deepest_m = 0.001;
     let deep = tailor().fit(given("shirt", sunken), &[], 0.02, &options).unwrap_err().to_string();
     assert!(deep.contains("mm inside the body") && deep.contains("vertex"), "{deep}");
+    for (name, change) in [
+        ("clearance_m", (|o: &mut FitOptions| o.penetration.clearance_m = -1.0) as fn(&mut FitOptions)),
+        ("deepest_m", |o| o.penetration.deepest_m = 0.2),
+        ("share", |o| o.penetration.share = f64::NAN),
+    ] {
+        let mut wrong = FitOptions::default();
+        change(&mut wrong);
+        let e = tailor().fit(given("shirt", own.mesh.clone()), &[], 0.02, &wrong).unwrap_err();
+        assert!(e.to_string().contains(name), "{e}");
+    }
 }
 
 fn spec(text: &str) -> Box<dyn TemplateSpec> {
@@ -415,7 +425,12 @@ fn a_linear_space_makes_garments_from_coefficients() {
     let components = || [flat(&wider), flat(&longer)].concat();
     let mean = || Entry("mean", vec![n, 3], flat(&own.vertices));
     let full = archive(
-        &[mean(), Entry("components", vec![2, n, 3], components()), Entry("std", vec![2], vec![1.0, 0.5])],
+        &[
+            mean(),
+            Entry("components", vec![2, n, 3], components()),
+            Entry("std", vec![2], vec![1.0, 0.5]),
+            Entry("mean_betas", vec![3], vec![0.5, 0.0, -1.0]),
+        ],
         faces(),
     );
     let mut files = Memory::default();
@@ -433,6 +448,7 @@ fn a_linear_space_makes_garments_from_coefficients() {
     };
     let make = |c: Vec<f64>| source.template(tailor(), &at(c), 0.03).unwrap();
     assert_eq!(make(vec![0.0, 0.0]).mesh.vertices, own.vertices);
+    assert_eq!(make(vec![0.0, 0.0]).given.unwrap().made_for_shape, [0.5, 0.0, -1.0]);
     // The standard deviation scales the component.
     let long = make(vec![0.0, 1.0]);
     for ((p, q), d) in own.vertices.iter().zip(&long.mesh.vertices).zip(&longer) {
@@ -515,10 +531,14 @@ fn free_garments_come_out_of_the_body() {
             }
             assert_eq!(cuts(&t.mesh, &body.mesh), 0, "{} split {split}", given.name);
             assert!(p.inside_share[1] == 0.0 && p.clearance_m > 0.0, "{}: {p:?}", given.name);
-            // The limit that the documentation of the options states.
-            assert!((p.area_ratio - 1.0).abs() < 0.05, "{}: {p:?}", given.name);
+            // What the documentation of the options states, and a little for other compilers.
+            assert!(
+                (p.area_ratio - 1.0).abs() < 0.015 && p.edge_ratio[1] > 0.95 && p.edge_ratio[2] < 1.06,
+                "{}: {p:?}",
+                given.name
+            );
             assert_eq!(facts.repairs, Default::default(), "{}", given.name);
-            assert_eq!(facts.splits, usize::from(split));
+            assert!(facts.splits <= usize::from(split), "{}", given.name);
             assert!(hinges(&t.mesh.faces).1.is_empty());
             let far = NearestGrid::from_points(&given.mesh.vertices);
             let moved = t.mesh.vertices.iter().map(|q| far.nearest_point(q).unwrap().1.sqrt()).fold(0.0, f64::max);

@@ -76,6 +76,9 @@ pub struct GivenFacts {
     pub splits: usize,
     /// Getting it out of the body.
     pub penetration: PenetrationFacts,
+    /// Shape coefficients of the body that its maker dressed, where the source names them: another shape is what
+    /// penetrations or a loose fit may come from.
+    pub made_for_shape: Vec<f64>,
 }
 
 impl Tailor {
@@ -152,7 +155,14 @@ impl Tailor {
             material_uv,
             grain,
             clearance_m,
-            given: Some(GivenFacts { repairs, kind_given: options.kind.is_some(), layout, splits, penetration }),
+            given: Some(GivenFacts {
+                repairs,
+                kind_given: options.kind.is_some(),
+                layout,
+                splits,
+                penetration,
+                made_for_shape: Vec::new(),
+            }),
         })
     }
 

@@ -6,9 +6,11 @@ use caphy_core::query::NearestGrid;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 
 /// Half of a worn garment's vertices are nearer to the skin than this [m]: the widest skirts and hanging sleeves are.
-const NEAR: f64 = 0.10;
+const NEAR: f64 = 0.15;
 /// A guess about the units must bring the garment this near to be spoken of [m].
 const CONVINCING: f64 = 0.06;
+/// Nor is a garment smaller than this [m]: shrunk into the body, anything is near its skin.
+const SMALLEST: f64 = 0.25;
 /// Vertices that are looked at.
 const SAMPLES: usize = 1500;
 
@@ -46,6 +48,10 @@ pub(super) fn check_placement(name: &str, mesh: &TriMesh, tailor: &Tailor) -> Re
     let upright = |p: &Vec3| Vec3::new(p.x, p.z, -p.y);
     let guess = |place: &dyn Fn(&Vec3) -> Vec3, what: String, remedy: String| {
         let moved: Vec<Vec3> = points.iter().map(place).collect();
+        let (low, high) = caphy_core::mesh::bounds(&moved)?;
+        if (high - low).max() < SMALLEST {
+            return None;
+        }
         let d = median_distance(&moved, skin);
         (d < CONVINCING).then_some((d, what, remedy))
     };

@@ -1,6 +1,7 @@
 //! Splitting a coarse garment: every triangle into four, new vertices on a curve through the old ones, so that neither the
 //! silhouette nor the fit shrinks.
 
+use crate::template::distance::angle_weighted_normals;
 use caphy_core::TriMesh;
 use caphy_core::query::boundary_loops;
 use std::collections::HashMap;
@@ -17,7 +18,7 @@ pub(super) fn splits_for(mesh: &TriMesh, resolution: f64) -> usize {
 /// Splits every triangle into four. New vertices inside lie on the cubic between point-normal pairs (Vlachos et al. 2001)
 /// at its middle, those on the boundary on the four-point curve (Dyn et al. 1987); layout corners at the middle.
 pub(super) fn split(mesh: &TriMesh, uv: Option<&[[[f64; 2]; 3]]>) -> (TriMesh, Option<Vec<[[f64; 2]; 3]>>) {
-    let normals = mesh.vertex_normals();
+    let normals = angle_weighted_normals(mesh);
     // Boundary neighbours, to continue the curve at both ends.
     let mut beside: HashMap<u32, [u32; 2]> = HashMap::new();
     for ring in boundary_loops(&mesh.faces) {

@@ -317,7 +317,7 @@ impl Work {
         for (v, faces) in around.iter().enumerate() {
             let v = v as u32;
             let mut left = faces.clone();
-            let mut first = true;
+            let mut fans: Vec<Vec<u32>> = Vec::new();
             while let Some(start) = left.pop() {
                 let mut fan = vec![start];
                 let mut at = 0;
@@ -332,16 +332,18 @@ impl Work {
                     });
                     at += 1;
                 }
-                if !first {
-                    let copy = self.vertices.len() as u32;
-                    self.vertices.push(self.vertices[v as usize]);
-                    self.vertex_origin.push(self.vertex_origin[v as usize]);
-                    for f in fan {
-                        self.faces[f as usize].iter_mut().filter(|w| **w == v).for_each(|w| *w = copy);
-                    }
-                    self.repairs.split_vertices += 1;
+                fans.push(fan);
+            }
+            // The largest fan keeps the vertex.
+            fans.sort_by_key(|fan| (std::cmp::Reverse(fan.len()), fan[0]));
+            for fan in fans.iter().skip(1) {
+                let copy = self.vertices.len() as u32;
+                self.vertices.push(self.vertices[v as usize]);
+                self.vertex_origin.push(self.vertex_origin[v as usize]);
+                for &f in fan {
+                    self.faces[f as usize].iter_mut().filter(|w| **w == v).for_each(|w| *w = copy);
                 }
-                first = false;
+                self.repairs.split_vertices += 1;
             }
         }
     }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// An `.npz` with `mean` (V, 3), `components` (K, V, 3), `faces` (F, 3) and, optionally, `std` (K): the standard deviation of
-/// each coefficient (1 without it).
+/// each coefficient (1 without it) and `mean_betas` (any length): the shape of the body that the mean dresses, for reports.
 ///
 /// Coefficients are in standard deviations. The garments must lie on the T-posed body that they are fitted to.
 ///
@@ -49,6 +49,7 @@ struct Linear {
     /// Component times standard deviation [file's unit], shape [component][vertex].
     components: Vec<Vec<Vec3>>,
     faces: Vec<[u32; 3]>,
+    made_for_shape: Vec<f64>,
     varied: usize,
     spread: f64,
     fit: FitOptions,
@@ -102,6 +103,16 @@ impl Linear {
         } else {
             vec![1.0; count]
         };
+        let made_for_shape = if npz.has("mean_betas") {
+            let betas = npz.f64s("mean_betas")?;
+            if betas.shape.len() != 1 {
+                return Err(wrong_shape(path, "mean_betas", &betas.shape, "one row"));
+            }
+            finite("mean_betas", &betas.data)?;
+            betas.data
+        } else {
+            Vec::new()
+        };
         let config = |key: &str, problem: String, remedy: String| Err(Error::config(key, problem, remedy));
         if spec.coefficients > MOST_AXES {
             let problem = format!("{} of {count} coefficients", spec.coefficients);
@@ -120,6 +131,7 @@ impl Linear {
                 .map(|(c, s)| points(c).into_iter().map(|p| p * *s).collect())
                 .collect(),
             faces: faces.data.chunks_exact(3).map(|f| [f[0] as u32, f[1] as u32, f[2] as u32]).collect(),
+            made_for_shape,
             varied: spec.coefficients.min(count),
             spread: spec.spread,
             fit: spec.fit,
@@ -179,6 +191,7 @@ impl TemplateSource for Linear {
         let mut template = tailor.fit(self.given(&s.coefficients)?, &s.coefficients, resolution_m, &fit)?;
         if let Some(facts) = &mut template.given {
             facts.kind_given = self.fit.kind.is_some();
+            facts.made_for_shape = self.made_for_shape.clone();
         }
         Ok(template)
     }
