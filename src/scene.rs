@@ -38,8 +38,7 @@ impl Scene {
     /// Builds the body of a preprocessed subject.
     pub fn new(context: &Context<'_>, subject: &Subject) -> Result<Scene> {
         let body = context.config.body.body(context.files)?;
-        let count = body.describe().joints.len();
-        let mut parameters = BodyParameters::rest(count, &subject.shape);
+        let mut parameters = body.rest(&subject.shape);
         parameters.displacement = subject.displacement.clone();
         let posed = body.forward(&parameters)?;
         let rest = TriMesh { vertices: posed.vertices, faces: body.describe().faces.clone() };

@@ -69,7 +69,7 @@ impl BodyTrack {
         let parameters: Vec<BodyParameters> = poses.iter().map(|p| subject.posed(p)).collect();
         let transforms = parameters
             .par_iter()
-            .map(|p| body.forward(p).map(|posed| posed.transforms))
+            .map(|p| body.skeleton(p).map(|posed| posed.transforms))
             .collect::<Vec<_>>()
             .into_iter()
             .collect::<Result<Vec<_>>>()?;

@@ -81,9 +81,7 @@ pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> 
     let pelvis = body.skeleton(&rest)?.joints[0];
     let mut clip = load(&named.files, &named.clip, None, arguments.fps, &pelvis)?.clip;
     clip.poses.truncate((arguments.seconds * clip.fps).floor() as usize + 1);
-    let smoothed = WeightOptions::default();
-    let weights =
-        WeightOptions { smoothing: if arguments.nearest_weights { 0 } else { smoothed.smoothing }, ..smoothed };
+    let weights = if arguments.nearest_weights { WeightOptions::nearest() } else { WeightOptions::default() };
     let dressed = Dressed::new(&*body, shape, templates, &weights, clip)?;
     let mut files = moving::write(&dressed, arguments.format, &arguments.out)?;
     let preview = arguments.out.join("preview.png");

@@ -144,7 +144,7 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     for ((&i, pose), report) in training.iter().zip(&fit.poses).zip(&fit.report) {
         poses[i] = Some((pose.clone(), report.clone()));
     }
-    let mut subject_body = BodyParameters::rest(body.describe().joints.len(), &fit.shape);
+    let mut subject_body = body.rest(&fit.shape);
     subject_body.displacement = fit.displacement.clone();
     // Held-out scans get a pose, but no say in the shape.
     let fixed = FixedShape::new(&*body, &subject_body)?;

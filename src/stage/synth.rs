@@ -8,7 +8,6 @@ use crate::physics::{Dynamics, Physics};
 use crate::scene::label_of;
 use crate::track::{BodyTrack, Reach};
 use caphy_bodymodel::procedural_motion::static_poses;
-use caphy_core::body::BodyParameters;
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialModel;
 use caphy_core::pose::Pose;
@@ -66,9 +65,8 @@ pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
     let seed = context.config.run.seed;
     let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(7919).wrapping_add(17));
     let body = context.config.body.body(context.files)?;
-    let joints = body.describe().joints.len();
     let shape: Vec<f64> = (0..body.describe().shape_count.min(4)).map(|_| uniform(&mut rng, -0.8, 0.8)).collect();
-    let subject = BodyParameters::rest(joints, &shape);
+    let subject = body.rest(&shape);
     let poses = static_poses(seed, config.scans);
     let rest = BodyRest::from_model(&*body, &subject)?;
     let rest_mesh = rest.mesh.clone();

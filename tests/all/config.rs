@@ -92,7 +92,7 @@ fn unknown_types_list_what_exists() {
         ("\"gru\"", "\"lstm\"", ["`gru`", "`mlp`"]),
         ("\"vertex\"", "\"parser\"", ["`colour`", "`vertex`"]),
         ("\"synthetic\"", "\"invented\"", ["`synthetic`", "`scans`"]),
-        ("\"procedural\", kind", "\"bvh\", kind", ["`amass`", "`asf_amc`"]),
+        ("\"procedural\", kind", "\"dance\", kind", ["`amass`", "`asf_amc`"]),
         ("\"walk\", seconds = 2", "\"wolk\", seconds = 2", ["`walk`", "`squat`"]),
         ("\"measured\", fabric = \"gray", "\"linear\", fabric = \"gray", ["`measured`", "`stvk`"]),
         ("\"measured\", fabric = \"camel", "\"neohooke\", fabric = \"camel", ["`measured`", "`stvk`"]),
