@@ -14,9 +14,9 @@ use caphy_core::{Error, Real, Result};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// Largest array that is read [bytes as `f64`]: ten times the largest of a body model (SMPL-X pose correctives, 122 MB).
+/// Largest array that is read [bytes as `f64`]: ten times a body model's largest (SMPL-X pose correctives, 122 MB).
 const LARGEST_ARRAY: u64 = 2 << 30;
-/// Array up to which any compression is believed [bytes as `f64`]: twice the largest of a body model, since arrays of zeros
+/// Array up to which any compression is believed [bytes as `f64`]: twice a body model's largest, since arrays of zeros
 /// (correctives that were switched off) pack a thousandfold and are real.
 const LARGEST_EMPTY: u64 = 256 << 20;
 /// Compression that is believed above that; floats of measurements pack by less than 4, sparse weights by 50.

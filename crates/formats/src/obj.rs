@@ -58,8 +58,9 @@ pub struct ObjGroup {
 /// points, lines and display attributes are skipped.
 ///
 /// # Errors
-/// [`Error::Format`](caphy_core::Error::Format) naming the line: a statement cut off, what is no number, a position, colour or texture coordinate
-/// that is not finite, an index out of range, free-form surfaces, what is no statement of the format.
+/// [`Error::Format`](caphy_core::Error::Format) naming the line: a statement cut off, what is no number, a position,
+/// colour or texture coordinate that is not finite, an index out of range, free-form surfaces, what is no statement of
+/// the format.
 pub fn read_obj(path: &Path, bytes: &[u8]) -> Result<ObjMesh> {
     read::read(path, bytes)
 }
