@@ -21,7 +21,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 fn training_step(c: &mut Criterion) {
-    let body = BodyMannequin { resolution: 0.0162 }.generate().expect("the mannequin can be made");
+    let body = BodyMannequin { resolution: 0.0197 }.generate().expect("the mannequin can be made");
     let joints = body.describe().joints.len();
     let subject = BodyParameters::rest(joints, &[]);
     let rest = BodyRest::from_model(&body, &subject).expect("a body at rest");

@@ -95,7 +95,7 @@ fn damaged_ply_files() {
         let remedy = ["get it again", "write the file again"].iter().any(|r| said.contains(r));
         assert!(said.contains("anna.ply") && remedy, "cut off at {length}: {said}");
     }
-    assert_error(&with_scan(b"solid anna\n"), &["anna.ply", "header"]);
+    assert_error(&with_scan(b"solid anna\n"), &["anna.ply", "line 1", "get it again"]);
 
     for (component, bad) in [(0, f64::NAN), (1, f64::INFINITY), (2, f64::NEG_INFINITY)] {
         let mut scan = tetrahedron();

@@ -9,7 +9,7 @@
 
 mod buffer;
 
-pub use crate::colour::MeshColour as GlbColour;
+use crate::colour::MeshColour;
 
 use crate::colour::linear;
 use crate::moving::{VertexFrames, checked_frame};
@@ -50,7 +50,7 @@ pub struct GlbMesh<'a> {
     /// Rest mesh [m], y up.
     pub mesh: &'a TriMesh,
     /// Colour.
-    pub colour: GlbColour<'a>,
+    pub colour: MeshColour<'a>,
     /// Motion.
     pub motion: GlbMotion<'a>,
 }
@@ -145,8 +145,8 @@ impl Writer<'_> {
         item.colour.check(name, vertex_count)?;
         // glTF colours are linear; white is the factor that leaves vertex colours as they are.
         let base = match item.colour {
-            GlbColour::Uniform(colour) => colour.map(linear),
-            GlbColour::PerVertex(colours) => {
+            MeshColour::Uniform(colour) => colour.map(linear),
+            MeshColour::PerVertex(colours) => {
                 attributes.insert("COLOR_0".into(), self.buffer.colours(colours).into());
                 [1.0; 3]
             }

@@ -2,7 +2,8 @@
 
 use caphy_core::pose::Pose;
 use caphy_core::{Result, TriMesh, Vec3};
-use caphy_formats::glb::{GlbColour, GlbInterpolation, GlbMesh, GlbMotion, GlbScene, GlbSkin, write_glb, write_glb_to};
+use caphy_formats::colour::MeshColour;
+use caphy_formats::glb::{GlbInterpolation, GlbMesh, GlbMotion, GlbScene, GlbSkin, write_glb, write_glb_to};
 use caphy_formats::moving::{ComputedFrames, VertexFrames};
 use nalgebra::{Matrix4, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector4};
 use serde_json::Value;
@@ -85,9 +86,9 @@ impl Example {
             fps: 30.0,
             interpolation: GlbInterpolation::Linear,
             meshes: vec![
-                mesh("still", GlbColour::Uniform([200, 30, 30]), GlbMotion::Still),
-                mesh("garment", GlbColour::PerVertex(&self.colours), GlbMotion::Vertices(&self.frames)),
-                mesh("body", GlbColour::Uniform([220, 180, 160]), GlbMotion::Skinned(self.skin())),
+                mesh("still", MeshColour::Uniform([200, 30, 30]), GlbMotion::Still),
+                mesh("garment", MeshColour::PerVertex(&self.colours), GlbMotion::Vertices(&self.frames)),
+                mesh("body", MeshColour::Uniform([220, 180, 160]), GlbMotion::Skinned(self.skin())),
             ],
         }
     }
@@ -253,7 +254,7 @@ fn what_cannot_be_written_is_refused_by_name() {
     refused(e.scene(), |s| s.fps = 0.0, "frame rate 0");
     refused(e.scene(), |s| s.meshes.clear(), "no meshes");
     refused(e.scene(), |s| s.meshes[0].mesh = &empty, "still");
-    refused(e.scene(), |s| s.meshes[1].colour = GlbColour::PerVertex(&[]), "garment");
+    refused(e.scene(), |s| s.meshes[1].colour = MeshColour::PerVertex(&[]), "garment");
     refused(e.scene(), |s| s.meshes[1].motion = GlbMotion::Vertices(&short), "frame 1");
     refused(e.scene(), |s| s.meshes[1].motion = GlbMotion::Vertices(&lost), "frame 2, vertex 5");
     refused(e.scene(), |s| s.meshes[1].motion = GlbMotion::Vertices(&none), "no frames");
@@ -335,7 +336,7 @@ fn long_clips_are_written_piece_by_piece_and_too_long_ones_refused_before_any_fr
         },
     };
     let write = |frames: &dyn VertexFrames, out: &mut Meter| {
-        let colour = GlbColour::Uniform([9, 9, 9]);
+        let colour = MeshColour::Uniform([9, 9, 9]);
         let meshes = vec![GlbMesh { name: "g".into(), mesh: &mesh, colour, motion: GlbMotion::Vertices(frames) }];
         let scene = GlbScene { fps: 30.0, interpolation: GlbInterpolation::Linear, meshes };
         write_glb_to(Path::new("long.glb"), out, &scene)

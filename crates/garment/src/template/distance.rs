@@ -1,6 +1,7 @@
 //! Distance to the body: a shared grid for shaping cloth, an exact query for checking it.
 
-use caphy_core::{TriMesh, Vec3};
+use caphy_core::query::{NearestSurface, PseudoNormals, nearest_on_triangle};
+use caphy_core::{Result, TriMesh, Vec3};
 use rayon::prelude::*;
 
 /// Cell of the distance grid [m].
@@ -14,54 +15,6 @@ pub(crate) struct DistanceGrid {
     origin: Vec3,
     size: [usize; 3],
     values: Vec<f32>,
-}
-
-/// What of a triangle is nearest: a corner, a side (from corner k to the next) or the inside.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Feature {
-    Corner(usize),
-    Side(usize),
-    Inside,
-}
-
-/// Nearest point of a triangle.
-pub(crate) fn nearest_on_triangle(p: &Vec3, corners: &[Vec3; 3]) -> Vec3 {
-    nearest_feature(p, corners).0
-}
-
-fn nearest_feature(p: &Vec3, [a, b, c]: &[Vec3; 3]) -> (Vec3, Feature) {
-    let (ab, ac, ap) = (b - a, c - a, p - a);
-    let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));
-    if d1 <= 0.0 && d2 <= 0.0 {
-        return (*a, Feature::Corner(0));
-    }
-    let bp = p - b;
-    let (d3, d4) = (ab.dot(&bp), ac.dot(&bp));
-    if d3 >= 0.0 && d4 <= d3 {
-        return (*b, Feature::Corner(1));
-    }
-    let vc = d1 * d4 - d3 * d2;
-    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
-        return (a + ab * (d1 / (d1 - d3)), Feature::Side(0));
-    }
-    let cp = p - c;
-    let (d5, d6) = (ab.dot(&cp), ac.dot(&cp));
-    if d6 >= 0.0 && d5 <= d6 {
-        return (*c, Feature::Corner(2));
-    }
-    let vb = d5 * d2 - d1 * d6;
-    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
-        return (a + ac * (d2 / (d2 - d6)), Feature::Side(2));
-    }
-    let va = d3 * d6 - d5 * d4;
-    if va <= 0.0 && d4 >= d3 && d5 >= d6 {
-        return (b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6))), Feature::Side(1));
-    }
-    let sum = va + vb + vc;
-    if sum <= 0.0 {
-        return (*a, Feature::Corner(0));
-    }
-    (a + ab * (vb / sum) + ac * (vc / sum), Feature::Inside)
 }
 
 impl DistanceGrid {
@@ -102,7 +55,7 @@ impl DistanceGrid {
                             if normal.dot(&(p - corners[0])).abs() > BAND {
                                 continue;
                             }
-                            let offset = p - nearest_on_triangle(&p, &corners);
+                            let offset = p - nearest_on_triangle(&p, &corners).point;
                             let d2 = offset.norm_squared() as f32;
                             let slot = &mut part[(z - z0) * plane + y * nx + x];
                             let cosine = (offset.dot(&normal) / offset.norm().max(1e-12)) as f32;
@@ -195,125 +148,38 @@ fn signed_volume(mesh: &TriMesh) -> f64 {
         .sum()
 }
 
-/// Triangles of a body sorted into cells, for exact nearest points.
+/// A body's surface with its outside, for exact nearest points.
 #[derive(Debug, Clone)]
-pub(crate) struct TriangleCells {
-    triangles: Vec<[Vec3; 3]>,
-    /// Vertex ids of each triangle.
-    faces: Vec<[u32; 3]>,
-    /// Unit normals: of each triangle, of its three sides (mean of both faces), of each vertex (weighted by angle). With these
-    /// the sign of the distance is right at corners and sides, too (Bærentzen and Aanæs 2005).
-    face_normals: Vec<Vec3>,
-    side_normals: Vec<[Vec3; 3]>,
-    vertex_normals: Vec<Vec3>,
-    origin: Vec3,
-    size: [i64; 3],
-    starts: Vec<u32>,
-    ids: Vec<u32>,
+pub(crate) struct Skin {
+    surface: NearestSurface,
+    /// With these the sign of the distance is right at corners and sides, too (Bærentzen and Aanæs 2005).
+    normals: PseudoNormals,
+    /// -1 for a surface whose faces look inward.
+    turned: f64,
 }
 
-/// Cell of the exact search [m].
-const SEARCH_CELL: f64 = 0.03;
-
-impl TriangleCells {
-    /// Sorts the triangles of a mesh.
-    pub(crate) fn new(mesh: &TriMesh) -> Self {
-        let triangles: Vec<[Vec3; 3]> = (0..mesh.faces.len()).map(|f| mesh.corners(f)).collect();
-        let (low, high) = mesh.bounds().unwrap_or((Vec3::zeros(), Vec3::zeros()));
-        let size: [i64; 3] = std::array::from_fn(|k| (((high[k] - low[k]) / SEARCH_CELL) as i64 + 1).clamp(1, 400));
-        let mut entries: Vec<(u32, u32)> = Vec::new();
-        let cell = |v: f64, k: usize| (((v - low[k]) / SEARCH_CELL) as i64).clamp(0, size[k] - 1);
-        for (id, t) in triangles.iter().enumerate() {
-            let range = |k: usize| {
-                let lo = t.iter().map(|c| c[k]).fold(f64::INFINITY, f64::min);
-                let hi = t.iter().map(|c| c[k]).fold(f64::NEG_INFINITY, f64::max);
-                cell(lo, k)..=cell(hi, k)
-            };
-            for z in range(2) {
-                for y in range(1) {
-                    for x in range(0) {
-                        entries.push((((z * size[1] + y) * size[0] + x) as u32, id as u32));
-                    }
-                }
-            }
-        }
-        entries.sort_unstable();
-        let cells = (size[0] * size[1] * size[2]) as usize;
-        let mut starts = vec![0u32; cells + 1];
-        for &(c, _) in &entries {
-            starts[c as usize + 1] += 1;
-        }
-        for c in 0..cells {
-            starts[c + 1] += starts[c];
-        }
-        let turned = if signed_volume(mesh) < 0.0 { -1.0 } else { 1.0 };
-        let unit = |n: Vec3| n.try_normalize(0.0).unwrap_or_else(Vec3::zeros);
-        let face_normals: Vec<Vec3> =
-            triangles.iter().map(|[a, b, c]| unit((b - a).cross(&(c - a))) * turned).collect();
-        let vertex_normals = angle_weighted_normals(mesh).into_iter().map(|n| n * turned).collect();
-        let mut by_edge: std::collections::HashMap<[u32; 2], Vec3> = std::collections::HashMap::new();
-        for (face, n) in mesh.faces.iter().zip(&face_normals) {
-            for k in 0..3 {
-                let (a, b) = (face[k], face[(k + 1) % 3]);
-                *by_edge.entry([a.min(b), a.max(b)]).or_insert_with(Vec3::zeros) += n;
-            }
-        }
-        let side = |f: &[u32; 3], k: usize| {
-            let (a, b) = (f[k], f[(k + 1) % 3]);
-            by_edge.get(&[a.min(b), a.max(b)]).map_or_else(Vec3::zeros, |n| unit(*n))
-        };
-        let side_normals = mesh.faces.iter().map(|f| [side(f, 0), side(f, 1), side(f, 2)]).collect();
-        let ids = entries.into_iter().map(|(_, id)| id).collect();
-        let faces = mesh.faces.clone();
-        Self { triangles, faces, face_normals, side_normals, vertex_normals, origin: low, size, starts, ids }
+impl Skin {
+    /// Of a body's mesh.
+    ///
+    /// # Errors
+    /// Those of [`NearestSurface::from_mesh`].
+    pub(crate) fn new(mesh: &TriMesh) -> Result<Self> {
+        Ok(Self {
+            surface: NearestSurface::from_mesh(mesh)?,
+            normals: PseudoNormals::new(&mesh.vertices, &mesh.faces),
+            turned: if signed_volume(mesh) < 0.0 { -1.0 } else { 1.0 },
+        })
     }
     /// Nearest surface point, its signed distance [m] (negative inside) and the direction out of the body there; no farther
     /// than `limit`. The sign is that of the surface nearby: where parts of a body overlap, ask a [`DistanceGrid`] too.
     pub(crate) fn signed(&self, p: &Vec3, limit: f64) -> Option<(Vec3, f64, Vec3)> {
-        let (q, d, id) = self.nearest_triangle(p, limit)?;
-        let id = id as usize;
-        let normal = match nearest_feature(p, &self.triangles[id]).1 {
-            Feature::Corner(k) => self.vertex_normals[self.faces[id][k] as usize],
-            Feature::Side(k) => self.side_normals[id][k],
-            Feature::Inside => self.face_normals[id],
-        };
+        let nearest = self.surface.nearest_within(p, limit * limit)?;
+        let normal = self.normals.at(&nearest) * self.turned;
+        let (q, d) = (nearest.point, nearest.squared_distance.sqrt());
         let sign = if (p - q).dot(&normal) < 0.0 { -1.0 } else { 1.0 };
         // On the surface itself the offset has no direction.
-        let out = if d > 1e-7 { (p - q) * (sign / d) } else { normal };
+        let out = if d > 1e-7 { (p - q) * (sign / d) } else { normal.try_normalize(0.0).unwrap_or_else(Vec3::zeros) };
         Some((q, sign * d, out))
-    }
-    /// Nearest surface point, its distance [m] and triangle, no farther than `limit`.
-    fn nearest_triangle(&self, p: &Vec3, limit: f64) -> Option<(Vec3, f64, u32)> {
-        let mut best: Option<(Vec3, f64, u32)> = None;
-        let mut reach = limit;
-        let base: [i64; 3] = std::array::from_fn(|k| ((p[k] - self.origin[k]) / SEARCH_CELL).floor() as i64);
-        let rings = (limit / SEARCH_CELL).ceil() as i64 + 1;
-        for ring in 0..=rings {
-            if (ring - 1) as f64 * SEARCH_CELL > reach {
-                break;
-            }
-            let range = |k: usize| (base[k] - ring).max(0)..=(base[k] + ring).min(self.size[k] - 1);
-            for z in range(2) {
-                for y in range(1) {
-                    for x in range(0) {
-                        let shell = [x - base[0], y - base[1], z - base[2]].iter().any(|d| d.abs() == ring);
-                        if !shell {
-                            continue;
-                        }
-                        let cell = ((z * self.size[1] + y) * self.size[0] + x) as usize;
-                        for &id in &self.ids[self.starts[cell] as usize..self.starts[cell + 1] as usize] {
-                            let q = nearest_on_triangle(p, &self.triangles[id as usize]);
-                            let d = (p - q).norm();
-                            if d < reach {
-                                reach = d;
-                                best = Some((q, d, id));
-                            }
-                        }
-                    }
-                }
-            }
-        }
-        best
     }
 }
 
@@ -356,7 +222,7 @@ mod tests {
     fn grid_and_exact_distances_of_a_sphere() {
         let mesh = sphere();
         let grid = DistanceGrid::new(&mesh, Vec3::repeat(-0.1), Vec3::repeat(0.1));
-        let cells = TriangleCells::new(&mesh);
+        let skin = Skin::new(&mesh).unwrap();
         let plane = |f: usize| {
             let [a, b, c] = mesh.corners(f);
             (b - a).cross(&(c - a)).normalize().dot(&a).abs()
@@ -372,8 +238,7 @@ mod tests {
                 let p = n * (0.1 + depth);
                 // The facets sag below the sphere; a trilinear cell adds h²/8 times the sum of both curvatures, 2/r at the
                 // corner of the cell nearest to the centre.
-                assert!((cells.nearest_triangle(&p, 0.05).unwrap().1 - depth.abs()).abs() < sag + 1e-9);
-                let (_, signed, out) = cells.signed(&p, 0.05).unwrap();
+                let (_, signed, out) = skin.signed(&p, 0.05).unwrap();
                 assert!((signed - depth).abs() < sag + 1e-9 && out.dot(&n) > 0.9);
                 let corner = 0.1 + depth - 3f64.sqrt() * CELL;
                 let bound = sag + CELL * CELL / 8.0 * 2.0 / corner;
@@ -381,6 +246,6 @@ mod tests {
             }
         }
         assert!(grid.value(&Vec3::zeros()) < -0.02);
-        assert!(cells.signed(&Vec3::repeat(1.0), 0.05).is_none());
+        assert!(skin.signed(&Vec3::repeat(1.0), 0.05).is_none());
     }
 }

@@ -37,7 +37,7 @@ pub use style::{
 
 use caphy_core::query::{Adjacency, NearestGrid, boundary_loops, hinges};
 use caphy_core::{Error, Result, TriMesh, Vec3};
-use distance::{DistanceGrid, TriangleCells};
+use distance::{DistanceGrid, Skin};
 use rayon::prelude::*;
 use rest::{Landmarks, Limb, limb_of};
 use serde::{Deserialize, Serialize};
@@ -128,7 +128,7 @@ pub struct Tailor {
     body: BodyRest,
     marks: Landmarks,
     grid: DistanceGrid,
-    cells: TriangleCells,
+    skin: Skin,
     /// Body vertices that shirts and trousers may hang on, with their search.
     reach: [(Vec<u32>, NearestGrid<f64>); 2],
 }
@@ -173,8 +173,8 @@ impl Tailor {
             return Err(Error::mesh("body at rest", "whole mesh", problem, "give a whole body in metres"));
         }
         let grid = DistanceGrid::new(&body.mesh, low, high);
-        let cells = TriangleCells::new(&body.mesh);
-        Ok(Self { body, marks, grid, cells, reach })
+        let skin = Skin::new(&body.mesh)?;
+        Ok(Self { body, marks, grid, skin, reach })
     }
 
     /// The body.
@@ -240,7 +240,7 @@ impl Tailor {
     /// Signed distance of a point to the skin [m], negative inside, and the direction out of the body; `None` where the skin is
     /// farther than `limit`.
     pub(crate) fn skin(&self, p: &Vec3, limit: f64) -> Option<(f64, Vec3)> {
-        let (q, d, out) = self.cells.signed(p, limit)?;
+        let (q, d, out) = self.skin.signed(p, limit)?;
         // Well inside or outside, the grid's flood knows the side, also where limbs overlap.
         let rough = self.grid.value(p);
         let sure = rough.abs() > GRID_SURE;
