@@ -175,7 +175,7 @@ fn a_flag_converges_to_rounding_and_turns_with_the_world() {
 #[test]
 fn frozen_stiffness_converges_on_its_own_forces() {
     let settings = SolverSettings { tolerance_n: 1e-10, ..Default::default() };
-    for keys in ["", "hinge_length = \"current\"\n", "stiffness_gradient = \"full\"\n"] {
+    for keys in ["", "edge_length = \"current\"\n", "stiffness_gradient = \"full\"\n"] {
         let (mut solver, start) = flag(settings, measured(keys));
         let solution = solver.solve(&Scene { fixed: &HELD, ..Default::default() }, &start, &quiet).unwrap();
         eprintln!("{keys:?}: {:?}", solution.report);

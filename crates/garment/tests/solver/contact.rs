@@ -47,7 +47,7 @@ fn a_cloth_comes_to_rest_on_a_sphere_from_above_and_from_inside() {
         assert!(r.residual_n.is_finite());
         let deepest = solution.positions.iter().map(|p| 0.1 - p.norm()).fold(f64::NEG_INFINITY, f64::max);
         assert!(deepest < 1e-3, "{deepest} m inside");
-        assert!(!solution.contacts.is_empty());
+        // Without friction it slides off: no rest, but an answer.
         if friction > 0.0 {
             assert!(solution.converged(), "{r:?}");
             // Contact and friction carry the weight.
@@ -123,8 +123,8 @@ fn a_sticking_patch_rides_on_a_moving_floor() {
     let mut motion = Dynamics::new(flat, None, 1.0 / 60.0).unwrap();
     let floor = |t: usize| frame(&spots.iter().map(|p| p + Vec3::x() * (1e-3 * t as f64)).collect::<Vec<_>>());
     let mut first = 0.0;
-    for t in 1..60 {
-        let (before, now) = (floor(t.saturating_sub(1)), floor(t));
+    for t in 1..60usize {
+        let (before, now) = (floor(t - 1), floor(t));
         let body = Obstacle { positions: &now, normals: &up, before: Some(&before), search: None };
         motion.advance(&mut solver, &Scene { body: Some(body), ..Default::default() }, None, &quiet).unwrap();
         let offset = motion.positions()[4].x - 1e-3 * t as f64;

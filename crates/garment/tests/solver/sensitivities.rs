@@ -69,7 +69,13 @@ fn check(material: Arc<dyn MaterialModel>, step: f64, tolerance: f64) {
         let (ahead, behind) = (moved(1.0), moved(-1.0));
         for i in 0..forward.len() {
             let numeric = (ahead[i] - behind[i]) / (2.0 * step);
-            assert!((numeric - forward[i]).abs() < tolerance * size, "{i}: {} {numeric}, size {size}", forward[i]);
+            // Solves end within 1e-11 N, on modes of some 0.1 N/m.
+            let ends = 1e-10 / step;
+            assert!(
+                (numeric - forward[i]).abs() < tolerance * size + ends,
+                "{i}: {} {numeric}, size {size}",
+                forward[i]
+            );
         }
     }
     solver.set_material(material);
@@ -92,5 +98,5 @@ fn of_stvk() {
 #[test]
 fn of_a_measured_fabric_with_frozen_stiffness() {
     // Kinks of the table make differences a little rough.
-    check(measured(""), 1e-5, 2e-2);
+    check(measured(""), 1e-4, 2e-2);
 }
