@@ -123,13 +123,13 @@ impl Collision<f64> {
     /// As [`EnergyTerm::add`].
     pub fn contacts(&self, state: &State<'_, f64>, weight: f64) -> Result<Vec<Touch>> {
         let mut out = Vec::new();
-        self.each_touch(state, |v, body, normal, depth| {
+        self.each_touch(state, 0.0, |v, body, normal, depth| {
             out.push(Touch { vertex: v, body, normal, force: 3.0 * weight * self.weights[v as usize] * depth * depth });
         })?;
         Ok(out)
     }
-    /// Calls `f` with vertex, body vertex, normal and depth [m] of each vertex closer than the margin.
-    fn each_touch(&self, state: &State<'_, f64>, mut f: impl FnMut(u32, u32, [f64; 3], f64)) -> Result<()> {
+    /// Calls `f` with vertex, body vertex, normal and depth [m] of each vertex closer than the margin and `reach` more [m].
+    fn each_touch(&self, state: &State<'_, f64>, reach: f64, mut f: impl FnMut(u32, u32, [f64; 3], f64)) -> Result<()> {
         let x = only_frame("collision", state.positions)?;
         Error::check_length("vertices of the garment in collision", self.weights.len(), x.len())?;
         let body = needed("collision", "a posed body", state.body)?;
@@ -145,13 +145,17 @@ impl Collision<f64> {
         for (v, (x, &b)) in x.iter().zip(&nearest).enumerate() {
             let (p, n) = (points[b as usize], normals[b as usize]);
             let depth = self.margin - (n[0] * (x[0] - p[0]) + n[1] * (x[1] - p[1]) + n[2] * (x[2] - p[2]));
-            if depth > 0.0 {
+            if depth > -reach {
                 f(v as u32, b, n, depth);
             }
         }
         Ok(())
     }
 }
+
+/// How far beyond the margin steps see contact coming, and how deep it then counts, as shares of the margin.
+const NEAR: f64 = 0.5;
+const LIGHT: f64 = 0.1;
 
 /// A garment vertex that touches the body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -170,11 +174,16 @@ impl EnergyTangent for Collision<f64> {
     fn stencil(&self) -> Stencil {
         Stencil { width: 1, vertices: (0..self.weights.len() as u32).collect() }
     }
-    fn tangents(&self, state: &State<'_, f64>, weight: f64, _: Tangent, blocks: &mut [f64]) -> Result<()> {
+    /// Projected: vertices about to touch count as lightly touching, else steps would run them into the body.
+    fn tangents(&self, state: &State<'_, f64>, weight: f64, kind: Tangent, blocks: &mut [f64]) -> Result<()> {
         Error::check_length("second derivatives of collision", 9 * self.weights.len(), blocks.len())?;
         blocks.fill(0.0);
-        self.each_touch(state, |v, _, n, depth| {
-            let stiffness = 6.0 * weight * self.weights[v as usize] * depth;
+        let (reach, least) = match kind {
+            Tangent::Exact => (0.0, 0.0),
+            Tangent::Projected => (NEAR * self.margin, LIGHT * self.margin),
+        };
+        self.each_touch(state, reach, |v, _, n, depth| {
+            let stiffness = 6.0 * weight * self.weights[v as usize] * depth.max(least);
             for i in 0..9 {
                 blocks[9 * v as usize + i] = stiffness * n[i / 3] * n[i % 3];
             }

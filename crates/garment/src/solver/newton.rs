@@ -12,6 +12,8 @@ use caphy_core::{Error, Result};
 const DECREASE: f64 = 1e-4;
 /// Energies are sums of some ten thousand terms: differences below this share of their absolute sum are rounding.
 const ROUNDING: f64 = 1e-13;
+/// Tries of σ for the exact matrix in one step.
+const SHIFTS: usize = 3;
 /// Most steps between two tries of a matrix that failed before.
 const LONGEST_WAIT: usize = 16;
 
@@ -30,6 +32,9 @@ pub(super) struct Newton {
     /// without crippling the rest.
     damping: f64,
     smallest_damping: f64,
+    /// σ that last made the exact matrix positive definite. Next to a saddle that goes far faster than clamping each element's
+    /// curvature, which stiffens every wrinkle.
+    shift: f64,
     exact: Patience,
     unsymmetric: Patience,
     pub(super) iterations: usize,
@@ -77,6 +82,7 @@ impl Newton {
             damping: 0.0,
             // With it, something in free fall moves by the longest allowed step.
             smallest_damping: pull / solver.settings.max_move_m,
+            shift: 0.0,
             exact: Patience::default(),
             unsymmetric: Patience { wait: 3, failures: 0 },
             iterations: 0,
@@ -176,10 +182,18 @@ impl Newton {
         }
         if self.exact.ready() {
             workspace.tangent(solver, prepared, frozen, x, Tangent::Exact, &mut self.matrix)?;
-            self.matrix.add_diagonal(masses.iter().map(|m| m * self.damping));
-            if let Some(factor) = self.factorise(solver, Kind::Cholesky)? {
-                self.exact.succeeded();
-                return Ok(negative(factor.solve(g)));
+            let (mut within, mut shift) = (0.0, self.damping.max(self.shift));
+            for _ in 0..SHIFTS {
+                let more = shift - within;
+                self.matrix.add_diagonal(masses.iter().map(|m| m * more));
+                within = shift;
+                if let Some(factor) = self.factorise(solver, Kind::Cholesky)? {
+                    self.exact.succeeded();
+                    self.damped += usize::from(shift > 0.0);
+                    self.shift = if shift > self.smallest_damping / 64.0 { 0.25 * shift } else { 0.0 };
+                    return Ok(negative(factor.solve(g)));
+                }
+                shift = (8.0 * shift).max(self.smallest_damping / 16.0);
             }
             self.exact.failed();
         }
@@ -233,6 +247,25 @@ impl Newton {
                 good = dot(&ahead, d).abs() <= 0.9 * slope.abs() || largest(&ahead).0 < 0.9 * largest(g).0;
             }
             if good {
+                let (mut trial, mut value) = (trial, value);
+                // Leaving a saddle along a curvature that was clamped away, whole steps are far too short.
+                while step == 1.0 || (step > 1.0 && step < 64.0) {
+                    let longer = 2.0 * step;
+                    if longer * reach > solver.settings.max_move_m {
+                        break;
+                    }
+                    let next = moved(x, longer, d);
+                    let ahead =
+                        workspace.evaluate(solver, prepared, frozen, &next, None).map_or(f64::INFINITY, |e| total(&e));
+                    if ahead > value + 0.25 * step * slope {
+                        break;
+                    }
+                    (step, trial, value) = (longer, next, ahead);
+                }
+                if step < 0.3 * whole && self.exact.wait == 0 {
+                    // The exact matrix knows nothing of contacts to come.
+                    self.exact.wait = 2;
+                }
                 *x = trial;
                 if whole < 0.25 {
                     self.damping = (3.0 * self.damping).max(self.smallest_damping);

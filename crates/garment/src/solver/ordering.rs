@@ -8,6 +8,10 @@ use std::sync::Arc;
 
 /// Parts of at most this many vertices are not cut further.
 const LEAF: usize = 16;
+/// Searches whose levels are tried as cuts of a part.
+const CANDIDATES: usize = 6;
+/// Weight of a half's n^1.5 against a cut's cube, in vertices.
+const HALF: f64 = 30.0;
 
 /// A front: vertices that are eliminated together.
 #[derive(Debug, Clone)]
@@ -135,34 +139,33 @@ impl Dissection<'_> {
             self.forget(&part);
             return Cut { own: Vec::new(), children: parts.into_iter().map(|p| self.cut(p)).collect() };
         }
-        // From one end to the other: the farthest vertex of the farthest vertex.
-        let mut end = first.last().copied().unwrap_or(mark);
+        // From one end to the other, and across: the farthest vertex of the farthest vertex, then the ends of the middle level.
         self.forget(&part);
-        let second = self.search(end, mark);
-        end = second.last().copied().unwrap_or(end);
-        self.forget(&part);
-        let sorted = self.search(end, mark);
-        let depth = sorted.last().map_or(0, |&v| self.level[v as usize]) as usize + 1;
-        let mut sizes = vec![0usize; depth];
-        sorted.iter().for_each(|&v| sizes[self.level[v as usize] as usize] += 1);
-        let mut before = 0;
-        let mut best: Option<(f64, u32)> = None;
-        for (level, &size) in sizes.iter().enumerate() {
-            let after = part.len() - before - size;
-            if before > 0 && after > 0 {
-                let uneven = before.max(after) as f64 / part.len() as f64;
-                // Work grows with the cube of a cut and about n^1.5 of each half.
-                let cost = (size as f64).powi(3) * 8.0 + (part.len() as f64 * uneven).powf(1.5) * 40.0;
-                if best.is_none_or(|b| cost < b.0) {
-                    best = Some((cost, level as u32));
-                }
+        let mut roots = vec![first.last().copied().unwrap_or(mark)];
+        let mut best: Option<(f64, u32, Vec<u32>, Vec<u32>)> = None;
+        for round in 0..CANDIDATES {
+            let Some(&root) = roots.get(round) else { break };
+            let sorted = self.search(root, mark);
+            if round < 2 {
+                roots.push(sorted.last().copied().unwrap_or(root));
             }
-            before += size;
-        }
-        let Some((_, cut)) = best else {
+            if round == 1 {
+                let middle = self.level[sorted[sorted.len() / 2] as usize];
+                let ring: Vec<u32> = sorted.iter().copied().filter(|&v| self.level[v as usize] == middle).collect();
+                roots.extend([ring[0], ring[ring.len() / 2], ring[ring.len() - 1]]);
+            }
+            if let Some((cost, level)) = self.cheapest_level(&sorted)
+                && best.as_ref().is_none_or(|b| cost < b.0)
+            {
+                let levels = sorted.iter().map(|&v| self.level[v as usize]).collect();
+                best = Some((cost, level, sorted, levels));
+            }
             self.forget(&part);
-            return Cut { own: part, children: Vec::new() };
-        };
+        }
+        let Some((_, cut, sorted, levels)) = best else { return Cut { own: part, children: Vec::new() } };
+        for (&v, level) in sorted.iter().zip(levels) {
+            self.level[v as usize] = level;
+        }
         let (mut own, mut near, mut far) = (Vec::new(), Vec::new(), Vec::new());
         for &v in &sorted {
             let level = self.level[v as usize];
@@ -182,6 +185,35 @@ impl Dissection<'_> {
         near.iter().for_each(|&v| self.inside[v as usize] = u32::MAX);
         far.iter().for_each(|&v| self.inside[v as usize] = u32::MAX);
         Cut { own, children: vec![self.cut(near), self.cut(far)] }
+    }
+    /// The level whose removal makes the least work, with that work.
+    fn cheapest_level(&self, sorted: &[u32]) -> Option<(f64, u32)> {
+        let depth = sorted.last().map_or(0, |&v| self.level[v as usize]) as usize + 1;
+        let mut sizes = vec![0usize; depth];
+        // Vertices of a level that touch nothing beyond it need not be cut.
+        for &v in sorted {
+            let level = self.level[v as usize];
+            if self.pattern.row(v).iter().any(|&w| self.level[w as usize] == level + 1) {
+                sizes[level as usize] += 1;
+            }
+        }
+        let mut counts = vec![0usize; depth];
+        sorted.iter().for_each(|&v| counts[self.level[v as usize] as usize] += 1);
+        let mut before = 0;
+        let mut best: Option<(f64, u32)> = None;
+        for (level, &size) in sizes.iter().enumerate() {
+            let after = sorted.len() - before - counts[level];
+            if before > 0 && after > 0 {
+                // Work grows with the cube of a cut and with n^1.5 of each half.
+                let halves = (before as f64).powf(1.5) + (after as f64).powf(1.5);
+                let cost = (size as f64).powi(3) * 4.0 + halves * HALF;
+                if best.is_none_or(|b| cost < b.0) {
+                    best = Some((cost, level as u32));
+                }
+            }
+            before += counts[level];
+        }
+        best
     }
     fn forget(&mut self, part: &[u32]) {
         part.iter().for_each(|&v| self.level[v as usize] = u32::MAX);

@@ -4,19 +4,21 @@ use super::Solver;
 use super::newton::{Newton, Stop};
 use super::scene::{Scene, Springs};
 use super::solution::{Method, Outcome, Progress, Solution, SolveReport};
-use super::state::{Frozen, Prepared, Workspace, largest, points_of};
+use super::state::{Frozen, Prepared, Workspace, largest, points_of, total};
 use crate::energy::{Attachment, BodyState, Friction, State, Touch};
-use crate::relax::{RelaxSettings, relax};
+use crate::relax::{RelaxReport, RelaxSettings, relax};
 use caphy_core::lanes::Frames;
 use caphy_core::{Error, Real, Result, Vec3};
 
 /// Friction limits may be this share off when a solve ends.
 const FRICTION_AGREEMENT: f64 = 1e-3;
-/// A touching vertex changes its body vertex for one that is nearer by this share, once more for each round that ended
-/// at rest: pairs that flip for ever are held in the end.
-const PREFERENCE: f64 = 0.02;
+/// A touching vertex changes its body vertex for one that is nearer by this share, once more for each round, and again for each
+/// that ended at rest: pairs that flip for ever are held in the end.
+const PREFERENCE: f64 = 0.03;
 /// Iterations of L-BFGS for one of Newton.
 const LBFGS_STEPS: usize = 20;
+/// Evaluations of L-BFGS between two searches for contact pairs: cloth moves by a few millimetres at most in between.
+const LBFGS_REFRESH: usize = 4;
 
 /// Answers of a renewal.
 struct Renewed {
@@ -94,6 +96,18 @@ impl Solver {
         let mut frozen = Frozen { nearest, friction: Friction::none(self.vertex_count()) };
         frozen.friction = self.friction(prepared, &frozen, &mut workspace, x, start)?;
         let touching = prepared.scene.body.is_some();
+        if touching && prepared.scene.momentum.is_none() && settings.warm_steps > 0 {
+            let mut warm = (x.clone(), frozen.clone());
+            let steps = settings.warm_steps;
+            // A start that is too wild for it is left to Newton's steps.
+            if self.lbfgs(prepared, start, &mut workspace, (&mut warm.0, &mut warm.1), steps, progress).is_ok()
+                && warm.0.iter().all(|x| x.is_finite())
+            {
+                *x = warm.0;
+                frozen.nearest = prepared.search(workspace.set(x))?;
+                frozen.friction = self.friction(prepared, &frozen, &mut workspace, x, start)?;
+            }
+        }
         let mut outcome = Outcome::IterationLimit;
         let (mut rounds, mut settled, mut open) = (0, 0, (0, 0.0));
         // Pairs change while the garment moves far; near rest they rarely do and a round may take its time.
@@ -114,7 +128,7 @@ impl Solver {
             if stop != Stop::StepsUsed {
                 settled += 1;
             }
-            let new = self.renew(prepared, &frozen, &mut workspace, (x, start), settled)?;
+            let new = self.renew(prepared, &frozen, &mut workspace, (x, start), rounds + settled)?;
             open = (new.changed, new.friction_open);
             let agreed = new.friction_open <= settings.tolerance_n.max(FRICTION_AGREEMENT * new.friction_limit);
             if stop != Stop::StepsUsed && new.changed == 0 && agreed {
@@ -144,7 +158,47 @@ impl Solver {
         self.finish(prepared, frozen, workspace, x, report)
     }
 
-    /// Large garments: [`relax`], with contact pairs renewed every few evaluations.
+    /// [`relax`] from `x`, with contact pairs and friction renewed every few evaluations.
+    fn lbfgs(
+        &self,
+        prepared: &Prepared<'_>,
+        start: &[Vec3],
+        workspace: &mut Workspace,
+        (x, frozen): (&mut Vec<f64>, &mut Frozen),
+        steps: usize,
+        progress: &dyn Fn(Progress),
+    ) -> Result<RelaxReport> {
+        let settings = self.settings;
+        let mut frames = workspace.set(x).clone();
+        let mut evaluations = 0;
+        let relaxing = RelaxSettings {
+            iterations: steps,
+            max_move_m: settings.max_move_m.min(RelaxSettings::default().max_move_m),
+            // The root mean square is below the largest force.
+            rest_force_n: settings.tolerance_n / (self.vertex_count().max(1) as f64).sqrt(),
+            ..RelaxSettings::default()
+        };
+        let gradient = |x: &Frames<f64>, g: &mut Frames<f64>| -> Result<()> {
+            let values = values_of(x);
+            if evaluations % LBFGS_REFRESH == 0 {
+                frozen.nearest = prepared.search(x)?;
+                frozen.friction = self.friction(prepared, frozen, workspace, &values, start)?;
+            }
+            evaluations += 1;
+            let mut out = Vec::new();
+            let energies = workspace.evaluate(self, prepared, frozen, &values, Some(&mut out))?;
+            let (residual_n, energy_j) = (largest(&out).0, total(&energies));
+            progress(Progress { round: 0, iteration: evaluations, residual_n, energy_j });
+            for (lanes, value) in g.data_mut().chunks_exact_mut(<f64 as Real>::LANES).zip(out) {
+                lanes.fill(value);
+            }
+            Ok(())
+        };
+        let report = relax(&mut frames, &relaxing, gradient, &|_| {})?;
+        *x = values_of(&frames);
+        Ok(report)
+    }
+
     fn solve_lbfgs(
         &mut self,
         prepared: &Prepared<'_>,
@@ -152,51 +206,20 @@ impl Solver {
         x: &mut Vec<f64>,
         progress: &dyn Fn(Progress),
     ) -> Result<Solution> {
-        let settings = self.settings;
         let mut workspace = Workspace::new(self.vertex_count());
-        let mut frames = workspace.set(x).clone();
         let mut frozen = Frozen { nearest: None, friction: Friction::none(self.vertex_count()) };
-        let mut evaluations = 0;
-        let mut worst = 0.0;
-        let relaxing = RelaxSettings {
-            iterations: settings.iterations * LBFGS_STEPS,
-            max_move_m: settings.max_move_m,
-            // The root mean square is below the largest force.
-            rest_force_n: settings.tolerance_n / (self.vertex_count().max(1) as f64).sqrt(),
-            ..RelaxSettings::default()
-        };
-        let gradient = |x: &Frames<f64>, g: &mut Frames<f64>| -> Result<()> {
-            let values = values_of(x);
-            if evaluations % settings.steps_per_round.max(1) == 0 {
-                frozen.nearest = prepared.search(x)?;
-                frozen.friction = self.friction(prepared, &frozen, &mut workspace, &values, start)?;
-            }
-            evaluations += 1;
-            let mut out = Vec::new();
-            let energies = workspace.evaluate(self, prepared, &frozen, &values, Some(&mut out))?;
-            worst = largest(&out).0;
-            progress(Progress {
-                round: 0,
-                iteration: evaluations,
-                residual_n: worst,
-                energy_j: super::state::total(&energies),
-            });
-            for (lanes, value) in g.data_mut().chunks_exact_mut(<f64 as Real>::LANES).zip(out) {
-                lanes.fill(value);
-            }
-            Ok(())
-        };
-        let relaxed = relax(&mut frames, &relaxing, gradient, &|_| {})?;
-        *x = values_of(&frames);
+        let steps = self.settings.iterations * LBFGS_STEPS;
+        let relaxed = self.lbfgs(prepared, start, &mut workspace, (x, &mut frozen), steps, progress)?;
+        let outcome = if relaxed.at_rest.iter().all(|&r| r) { Outcome::Converged } else { Outcome::IterationLimit };
         let report = SolveReport {
-            outcome: if relaxed.at_rest[0] { Outcome::Converged } else { Outcome::IterationLimit },
+            outcome,
             method: Method::Lbfgs,
-            residual_n: worst,
+            residual_n: 0.0,
             residual_vertex: 0,
             iterations: relaxed.iterations,
             factorisations: 0,
             evaluations: 0,
-            rounds: evaluations.div_ceil(settings.steps_per_round.max(1)),
+            rounds: workspace.evaluations.div_ceil(LBFGS_REFRESH),
             damped: 0,
             energies: Vec::new(),
             pairs_open: 0,
@@ -270,14 +293,14 @@ impl Solver {
         })
     }
 
-    /// Pairs and friction at `x`. `settled` rounds ended at rest before.
+    /// Pairs and friction at `x`; pairs stay by [`PREFERENCE`] times `patience`.
     fn renew(
         &self,
         prepared: &Prepared<'_>,
         frozen: &Frozen,
         workspace: &mut Workspace,
         (x, start): (&[f64], &[Vec3]),
-        settled: usize,
+        patience: usize,
     ) -> Result<Renewed> {
         let mut nearest = prepared.search(workspace.set(x))?;
         let mut changed = 0;
@@ -296,7 +319,7 @@ impl Solver {
                 }
                 let at = Vec3::new(x[3 * v], x[3 * v + 1], x[3 * v + 2]);
                 let distance = |id: u32| (body.positions.get(0, 0, id as usize) - at).norm();
-                if distance(old[0]) <= distance(new[0]) * (1.0 + PREFERENCE * settled as f64) {
+                if distance(old[0]) <= distance(new[0]) * (1.0 + PREFERENCE * patience as f64) {
                     new.copy_from_slice(old);
                 } else {
                     changed += 1;

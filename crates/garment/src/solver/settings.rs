@@ -13,6 +13,9 @@ pub struct SolverSettings {
     pub tolerance_n: f64,
     /// Most Newton steps over all rounds. Default 400.
     pub iterations: usize,
+    /// L-BFGS steps before the first Newton step of a quasi-static pose with a body. Default 1500: they cost as much as
+    /// some twenty Newton steps and find the contact pairs that those would stumble over one after the other.
+    pub warm_steps: usize,
     /// Longest move of a vertex in one step [m]. Default 20 mm: less than the radius of a wrist, so that nothing jumps through a
     /// limb.
     pub max_move_m: f64,
@@ -35,6 +38,7 @@ impl Default for SolverSettings {
         Self {
             tolerance_n: 1e-8,
             iterations: 400,
+            warm_steps: 1500,
             max_move_m: 0.02,
             steps_per_round: 6,
             rounds: 100,
