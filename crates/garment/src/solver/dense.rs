@@ -125,7 +125,7 @@ pub(super) fn update_symmetric(schur: &mut [f64], panel: &[f64], rows: usize, s:
 pub(super) fn lu(panel: &mut [f64], rows: usize, s: usize, upper: &mut [f64], least: f64) -> (Vec<u32>, usize) {
     let mut exchanges = vec![0u32; s];
     let mut replaced = 0;
-    let b = if s == 0 { 0 } else { upper.len() / s };
+    let b = upper.len().checked_div(s).unwrap_or(0);
     for k in (0..s).step_by(BLOCK) {
         let width = BLOCK.min(s - k);
         for j in k..k + width {
