@@ -10,6 +10,7 @@ pub mod features;
 pub mod garment;
 pub mod relax;
 pub mod skinning;
+pub mod solver;
 pub mod template;
 
 pub use garment::{GarmentRest, RestHinge};

@@ -1,5 +1,6 @@
 //! Attachment: springs from held vertices (a waistband, straps) to where the body carries them.
 
+use super::tangent::{EnergyTangent, Stencil, Tangent, isotropic};
 use super::{EnergyTerm, MAX_LANES, State, add_blocks, add_row, check_same_frames, needed, row};
 use crate::GarmentRest;
 use caphy_core::lanes::Frames;
@@ -22,6 +23,24 @@ impl<T: MaterialReal> Attachment<T> {
         let vertices = rest.held.iter().flat_map(|set| set.vertices.iter().copied()).collect();
         let stiffness = rest.held.iter().flat_map(|set| &set.lengths).map(|l| T::of(stiffness * l)).collect();
         Self { vertices, stiffness, vertex_count: rest.vertex_count() }
+    }
+    /// Springs of one's own: stiffness [N/m] per vertex, for known scan points, pins, or the momentum of a time step.
+    ///
+    /// # Errors
+    /// [`Error::Length`], [`Error::Mesh`] for a vertex that the garment does not have, [`Error::Parameter`] for a stiffness that
+    /// is negative or not finite.
+    pub fn springs(vertices: &[u32], stiffness: &[f64], vertex_count: usize) -> Result<Self> {
+        Error::check_length("stiffness of springs, one per vertex", vertices.len(), stiffness.len())?;
+        if let Some(v) = vertices.iter().find(|&&v| v as usize >= vertex_count) {
+            let problem = format!("has a spring but there are {vertex_count} vertices");
+            return Err(Error::mesh("garment", format!("vertex {v}"), problem, "attach vertices of this garment"));
+        }
+        if let Some(&value) = stiffness.iter().find(|k| !(**k >= 0.0 && k.is_finite())) {
+            let (lower, upper) = (0.0, f64::INFINITY);
+            return Err(Error::Parameter { name: "spring stiffness".into(), value, lower, upper, unit: "N/m".into() });
+        }
+        let stiffness = stiffness.iter().map(|&k| T::of(k)).collect();
+        Ok(Self { vertices: vertices.to_vec(), stiffness, vertex_count })
     }
     /// Garment vertices that are held, in the order of the targets.
     pub fn vertices(&self) -> &[u32] {
@@ -55,6 +74,17 @@ impl<T: MaterialReal> EnergyTerm<T> for Attachment<T> {
             springs(held, T::of(weight), x.block(b), targets.block(b), &mut energy, wanted, part);
             Ok(energy)
         })
+    }
+}
+
+impl EnergyTangent for Attachment<f64> {
+    fn stencil(&self) -> Stencil {
+        Stencil { width: 1, vertices: self.vertices.clone() }
+    }
+    fn tangents(&self, _: &State<'_, f64>, weight: f64, _: Tangent, blocks: &mut [f64]) -> Result<()> {
+        Error::check_length("second derivatives of attachment", 9 * self.vertices.len(), blocks.len())?;
+        isotropic(self.stiffness.iter().map(|k| weight * k), blocks);
+        Ok(())
     }
 }
 

@@ -1,11 +1,13 @@
 //! Bending energy (Eq. 7): Σ k l²/(8A) (τ − τ_T)² over hinges, with the material's k.
 
+mod tangent;
+
 use super::arc_tangent::arc_tangent;
 use super::{CHUNK, EnergyTerm, MAX_LANES, State, add_blocks, add_row, pad_to_chunks, row};
 use crate::{GarmentRest, RestHinge};
 use caphy_core::array::Out;
 use caphy_core::lanes::Frames;
-use caphy_core::material::{HingeBlock, HingeLength, MaterialModel, MaterialReal};
+use caphy_core::material::{HingeBlock, HingeLength, MaterialDescription, MaterialModel, MaterialReal};
 use caphy_core::{Error, Real, Result, simd_kernel};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -49,8 +51,12 @@ struct Element<T> {
 /// across cells whose diagonals are all alike (`tests/material_patch.rs`). Template meshes are near equilateral.
 pub struct Bending<T> {
     hinges: Vec<Element<T>>,
+    /// Hinges that are not padding.
+    count: usize,
     vertex_count: usize,
     material: Arc<dyn MaterialModel>,
+    /// Stiffness and edge length of each hinge while they are held.
+    held: Option<Vec<[T; 2]>>,
 }
 
 impl<T: MaterialReal> Bending<T> {
@@ -80,12 +86,14 @@ impl<T: MaterialReal> Bending<T> {
                 weight: T::one(),
             })
             .collect();
+        let count = hinges.len();
         pad_to_chunks(&mut hinges, |h| h.weight = T::zero());
-        Self { hinges, vertex_count, material }
+        Self { hinges, count, vertex_count, material, held: None }
     }
-    /// The same garment of another material.
+    /// The same garment of another material; nothing is held.
     pub fn set_material(&mut self, material: Arc<dyn MaterialModel>) {
         self.material = material;
+        self.held = None;
     }
 
     fn block(&self, step: usize, x: &[T], weight: f64, mut gradient: Option<&mut [T]>) -> Result<[f64; MAX_LANES]> {
@@ -101,26 +109,19 @@ impl<T: MaterialReal> Bending<T> {
         let length_flows = facts.hinge_length == HingeLength::Current;
         for (c, chunk) in self.hinges.chunks_exact(CHUNK).enumerate() {
             measure(chunk, current, x, &mut input, &mut kept);
-            let mut block = HingeBlock {
-                count,
-                angle: (&input.angle[..]).into(),
-                angle_rest: (&input.angle_rest[..]).into(),
-                length: (&input.length[..]).into(),
-                area: (&input.area[..]).into(),
-                direction0: (&input.direction0[..]).into(),
-                direction1: (&input.direction1[..]).into(),
-                stiffness: Out::from(&mut stiffness[..]),
-                stiffness_by_angle: Out::absent(),
-                stiffness_by_length: Out::absent(),
-                stiffness_by_parameter: Out::absent(),
-            };
-            if gradient.is_some() && !facts.stiffness_frozen {
-                block.stiffness_by_angle = Out::from(&mut by_angle[..]);
-                if length_flows {
-                    block.stiffness_by_length = Out::from(&mut by_length[..]);
+            if let Some(held) = &self.held {
+                let held = &held[c * CHUNK..][..CHUNK];
+                for (i, [k, length]) in held.iter().enumerate() {
+                    let at = i * T::LANES..(i + 1) * T::LANES;
+                    stiffness[at.clone()].fill(*k);
+                    if facts.hinge_length == HingeLength::CurrentHeld {
+                        input.length[at].fill(*length);
+                    }
                 }
+            } else {
+                self.ask(&facts, gradient.is_some(), &input, &mut stiffness, &mut by_angle, &mut by_length)
+                    .map_err(|e| self.locate(e, step, c))?;
             }
-            T::hinge(&*self.material, &mut block).map_err(|e| self.locate(e, step, c))?;
             sum(chunk, T::of(weight), &input, &stiffness, &mut energy);
             if let Some(gradient) = gradient.as_deref_mut() {
                 let slopes = (&by_angle[..], &by_length[..]);
@@ -128,6 +129,30 @@ impl<T: MaterialReal> Bending<T> {
             }
         }
         Ok(energy)
+    }
+    /// The material's k for a chunk, and its slopes where the gradient has them.
+    fn ask(
+        &self,
+        facts: &MaterialDescription,
+        gradient: bool,
+        input: &Input<T>,
+        stiffness: &mut [T],
+        by_angle: &mut [T],
+        by_length: &mut [T],
+    ) -> Result<()> {
+        let mut block = HingeBlock::new(
+            stiffness.len(),
+            [&input.angle, &input.angle_rest, &input.length, &input.area],
+            [&input.direction0, &input.direction1],
+        );
+        block.stiffness = Out::from(stiffness);
+        if gradient && !facts.stiffness_frozen {
+            block.stiffness_by_angle = Out::from(by_angle);
+            if facts.hinge_length == HingeLength::Current {
+                block.stiffness_by_length = Out::from(by_length);
+            }
+        }
+        T::hinge(&*self.material, &mut block)
     }
     /// Says where a fold was that the material refused.
     fn locate(&self, error: Error, step: usize, chunk: usize) -> Error {

@@ -1,6 +1,7 @@
 //! Scan term (Eq. 9): symmetric Chamfer distance to a point cloud.
 
 use super::collision::{NoNearest, lane_points, nearest_of_all, square_distance};
+use super::tangent::{EnergyTangent, Stencil, Tangent, isotropic, only_frame};
 use super::{EnergyTerm, State, check_energy, check_shapes};
 use crate::GarmentRest;
 use caphy_core::lanes::Frames;
@@ -149,6 +150,27 @@ impl<T: MaterialReal> EnergyTerm<T> for Chamfer {
                 }
             }
         }
+        Ok(())
+    }
+}
+
+impl EnergyTangent for Chamfer {
+    fn stencil(&self) -> Stencil {
+        Stencil { width: 1, vertices: self.taking_part.clone() }
+    }
+    fn tangents(&self, state: &State<'_, f64>, weight: f64, _: Tangent, blocks: &mut [f64]) -> Result<()> {
+        Error::check_length("second derivatives of the scan term", 9 * self.taking_part.len(), blocks.len())?;
+        let x = only_frame("chamfer", state.positions)?;
+        Error::check_length("vertices of the garment in chamfer", self.vertex_count, x.len())?;
+        Error::check_length("scans of the batch, one per frame", 1, state.scans.len())?;
+        let scan = state.scans[0];
+        let part: Vec<[f64; 3]> = self.taking_part.iter().map(|&v| x[v as usize]).collect();
+        let to_garment = nearest_of_all(&NearestGrid::new(&part), &scan.points).map_err(|e| e.into_error(0, 0))?;
+        let mut stiffness = vec![2.0 * weight / part.len() as f64; part.len()];
+        for i in to_garment {
+            stiffness[i as usize] += 2.0 * weight / scan.points.len() as f64;
+        }
+        isotropic(stiffness.into_iter(), blocks);
         Ok(())
     }
 }

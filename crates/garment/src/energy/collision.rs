@@ -1,5 +1,6 @@
 //! Body collision: a penalty of vertices that come closer to the body's surface than a margin.
 
+use super::tangent::{EnergyTangent, Stencil, Tangent, only_frame};
 use super::{BodyState, EnergyTerm, MAX_LANES, State, add_blocks, add_row, check_same_frames, needed, row};
 use crate::GarmentRest;
 use caphy_core::lanes::Frames;
@@ -111,6 +112,81 @@ impl<T: MaterialReal> EnergyTerm<T> for Collision<T> {
             let body = (body.positions.block(b), body.normals.block(b));
             penalty(&self.weights, self.margin, T::of(weight), x.block(b), body, nearest, &mut energy, wanted, part);
             Ok(energy)
+        })
+    }
+}
+
+impl Collision<f64> {
+    /// Contact of each vertex that touches: vertex, body vertex, its normal, force along it [N].
+    ///
+    /// # Errors
+    /// As [`EnergyTerm::add`].
+    pub fn contacts(&self, state: &State<'_, f64>, weight: f64) -> Result<Vec<Touch>> {
+        let mut out = Vec::new();
+        self.each_touch(state, 0.0, |v, body, normal, depth| {
+            out.push(Touch { vertex: v, body, normal, force: 3.0 * weight * self.weights[v as usize] * depth * depth });
+        })?;
+        Ok(out)
+    }
+    /// Calls `f` with vertex, body vertex, normal and depth [m] of each vertex closer than the margin and `reach` more [m].
+    fn each_touch(&self, state: &State<'_, f64>, reach: f64, mut f: impl FnMut(u32, u32, [f64; 3], f64)) -> Result<()> {
+        let x = only_frame("collision", state.positions)?;
+        Error::check_length("vertices of the garment in collision", self.weights.len(), x.len())?;
+        let body = needed("collision", "a posed body", state.body)?;
+        check_body(state.positions, &body)?;
+        let (points, normals) = (lane_points(body.positions, 0, 0), lane_points(body.normals, 0, 0));
+        let nearest: Vec<u32> = match body.nearest {
+            Some(nearest) => {
+                check_nearest(state.positions, &body, nearest)?;
+                nearest.iter().step_by(<f64 as Real>::LANES).copied().collect()
+            }
+            None => nearest_of_all(&NearestGrid::new(&points), &x).map_err(|e| e.into_error(0, 0))?,
+        };
+        for (v, (x, &b)) in x.iter().zip(&nearest).enumerate() {
+            let (p, n) = (points[b as usize], normals[b as usize]);
+            let depth = self.margin - (n[0] * (x[0] - p[0]) + n[1] * (x[1] - p[1]) + n[2] * (x[2] - p[2]));
+            if depth > -reach {
+                f(v as u32, b, n, depth);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// How far beyond the margin steps see contact coming, and how deep it then counts, as shares of the margin.
+const NEAR: f64 = 0.5;
+const LIGHT: f64 = 0.1;
+
+/// A garment vertex that touches the body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Touch {
+    /// Garment vertex.
+    pub vertex: u32,
+    /// Body vertex.
+    pub body: u32,
+    /// The body's outward normal there.
+    pub normal: [f64; 3],
+    /// Force that pushes the garment out [N].
+    pub force: f64,
+}
+
+impl EnergyTangent for Collision<f64> {
+    fn stencil(&self) -> Stencil {
+        Stencil { width: 1, vertices: (0..self.weights.len() as u32).collect() }
+    }
+    /// Projected: vertices about to touch count as lightly touching, else steps would run them into the body.
+    fn tangents(&self, state: &State<'_, f64>, weight: f64, kind: Tangent, blocks: &mut [f64]) -> Result<()> {
+        Error::check_length("second derivatives of collision", 9 * self.weights.len(), blocks.len())?;
+        blocks.fill(0.0);
+        let (reach, least) = match kind {
+            Tangent::Exact => (0.0, 0.0),
+            Tangent::Projected => (NEAR * self.margin, LIGHT * self.margin),
+        };
+        self.each_touch(state, reach, |v, _, n, depth| {
+            let stiffness = 6.0 * weight * self.weights[v as usize] * depth.max(least);
+            for i in 0..9 {
+                blocks[9 * v as usize + i] = stiffness * n[i / 3] * n[i % 3];
+            }
         })
     }
 }

@@ -1,6 +1,6 @@
 //! Gravity: E = −Σ m g·x.
 
-use super::{EnergyTerm, MAX_LANES, State, add_blocks, row};
+use super::{EnergyTangent, EnergyTerm, MAX_LANES, State, Stencil, Tangent, add_blocks, row};
 use crate::GarmentRest;
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialReal;
@@ -49,6 +49,16 @@ impl<T: MaterialReal> EnergyTerm<T> for Gravity<T> {
             }
             Ok(energy)
         })
+    }
+}
+
+impl EnergyTangent for Gravity<f64> {
+    /// No elements: gravity is linear in the positions.
+    fn stencil(&self) -> Stencil {
+        Stencil { width: 1, vertices: Vec::new() }
+    }
+    fn tangents(&self, _: &State<'_, f64>, _: f64, _: Tangent, _: &mut [f64]) -> Result<()> {
+        Ok(())
     }
 }
 

@@ -1,10 +1,10 @@
 //! Inertia: Σ m/(2Δt²) |x_t − x_{t−1} − Δt v_{t−1}|², past frames held.
 
-use super::{EnergyTerm, MAX_LANES, State, add_blocks, add_row, row};
+use super::{Attachment, EnergyTerm, MAX_LANES, State, add_blocks, add_row, row};
 use crate::GarmentRest;
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialReal;
-use caphy_core::{Error, Result, simd_kernel};
+use caphy_core::{Error, Real, Result, simd_kernel};
 use serde::{Deserialize, Serialize};
 
 /// Which transitions of a window count.
@@ -44,6 +44,16 @@ impl<T: MaterialReal> Inertia<T> {
             });
         }
         Ok(Self { masses: rest.vertex_masses.iter().map(|&m| T::of(m)).collect(), step, rule })
+    }
+    /// The same energy of one step to come, seen as springs of m/Δt² from every vertex to 2 x_t − x_{t−1}: what a solver of
+    /// backward Euler steps minimises.
+    ///
+    /// # Errors
+    /// As [`Attachment::springs`].
+    pub fn next_step(&self) -> Result<Attachment<T>> {
+        let all: Vec<u32> = (0..self.masses.len() as u32).collect();
+        let stiffness: Vec<f64> = self.masses.iter().map(|&m| Real::to_f64(m) / (self.step * self.step)).collect();
+        Attachment::springs(&all, &stiffness, self.masses.len())
     }
     /// Number of transitions that count in windows of `steps` frames: the divisor of a mean.
     pub fn transitions(&self, steps: usize) -> usize {

@@ -9,22 +9,26 @@ pub mod attachment;
 pub mod bending;
 pub mod chamfer;
 pub mod collision;
+pub mod friction;
 pub mod gravity;
 pub mod inertia;
 pub mod layering;
 pub mod normals;
 pub mod strain;
+pub mod tangent;
 
 pub use attachment::Attachment;
 pub use bending::{Bending, RestAngle};
 pub use chamfer::{Chamfer, ScanCloud};
-pub use collision::{Collision, ContactOptions, nearest_body_vertices};
+pub use collision::{Collision, ContactOptions, Touch, nearest_body_vertices};
 pub(crate) use collision::{NoNearest, lane_points, nearest_of_all};
+pub use friction::Friction;
 pub use gravity::Gravity;
 pub use inertia::{Inertia, InertiaRule};
 pub use layering::{Layer, Layering, LayeringOptions, LayeringOrder};
 pub use normals::frame_normals;
 pub use strain::Strain;
+pub use tangent::{EnergyTangent, Stencil, Tangent};
 
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialReal;

@@ -1,11 +1,13 @@
 //! Strain energy (Eqs. 3-5): Σ A ψ(G) over triangles, with the material's ψ and stress.
 
+mod tangent;
+
 use super::{CHUNK, EnergyTerm, MAX_LANES, State, add_blocks, add_row, pad_to_chunks, row};
 use crate::GarmentRest;
 use caphy_core::array::Out;
 use caphy_core::lanes::Frames;
 use caphy_core::material::{MaterialModel, MaterialReal, MembraneBlock};
-use caphy_core::{Error, Result, simd_kernel};
+use caphy_core::{Error, Real, Result, simd_kernel};
 use std::sync::Arc;
 
 /// A triangle at rest; `area` is 0 for padding.
@@ -16,14 +18,46 @@ struct Triangle<T> {
     area: T,
 }
 
+/// A triangle's material linearised about a strain: ψ, S and dS/dG with held stiffness.
+#[derive(Debug, Clone, Copy)]
+struct Held<T> {
+    green: [T; 3],
+    energy: T,
+    stress: [T; 3],
+    slope: [T; 9],
+}
+
+impl<T: Real> Held<T> {
+    /// ψ and S at another strain. ψ integrates S: the shear entry counts twice.
+    #[inline(always)]
+    fn at(&self, green: [T; 3]) -> (T, [T; 3]) {
+        let d = [green[0] - self.green[0], green[1] - self.green[1], green[2] - self.green[2]];
+        let c = &self.slope;
+        let change = [
+            c[0] * d[0] + c[1] * d[1] + c[2] * d[2],
+            c[3] * d[0] + c[4] * d[1] + c[5] * d[2],
+            c[6] * d[0] + c[7] * d[1] + c[8] * d[2],
+        ];
+        let s = self.stress;
+        let half = T::of(0.5);
+        let mean = [s[0] + half * change[0], s[1] + half * change[1], s[2] + half * change[2]];
+        let energy = self.energy + mean[0] * d[0] + mean[1] * d[1] + (mean[2] + mean[2]) * d[2];
+        (energy, [s[0] + change[0], s[1] + change[1], s[2] + change[2]])
+    }
+}
+
 /// Strain energy of a garment made of one material.
 ///
 /// The gradient uses the material's stress: with frozen stiffness it is the force of ARCSim, not the derivative of the
 /// energy (`stiffness_frozen` of [`caphy_core::material::MaterialDescription`]).
 pub struct Strain<T> {
     triangles: Vec<Triangle<T>>,
+    /// Triangles that are not padding.
+    count: usize,
     vertex_count: usize,
     material: Arc<dyn MaterialModel>,
+    /// Per triangle while the stiffness is held.
+    held: Option<Vec<Held<T>>>,
 }
 
 impl<T: MaterialReal> Strain<T> {
@@ -36,12 +70,14 @@ impl<T: MaterialReal> Strain<T> {
                 area: T::of(rest.areas[f]),
             })
             .collect();
+        let count = triangles.len();
         pad_to_chunks(&mut triangles, |t| t.area = T::zero());
-        Self { triangles, vertex_count: rest.vertex_count(), material }
+        Self { triangles, count, vertex_count: rest.vertex_count(), material, held: None }
     }
-    /// The same garment of another material.
+    /// The same garment of another material; nothing is held.
     pub fn set_material(&mut self, material: Arc<dyn MaterialModel>) {
         self.material = material;
+        self.held = None;
     }
 
     fn block(&self, step: usize, x: &[T], weight: f64, mut gradient: Option<&mut [T]>) -> Result<[f64; MAX_LANES]> {
@@ -53,12 +89,16 @@ impl<T: MaterialReal> Strain<T> {
         let mut energy = [0.0; MAX_LANES];
         for (c, chunk) in self.triangles.chunks_exact(CHUNK).enumerate() {
             measure(chunk, x, &mut green, &mut deformation);
-            let mut block = MembraneBlock::new(count, &green);
-            block.energy = Out::from(&mut density[..]);
-            if gradient.is_some() {
-                block.stress = Out::from(&mut stress[..]);
+            if let Some(held) = &self.held {
+                linearised(&held[c * CHUNK..][..CHUNK], &green, &mut density, &mut stress);
+            } else {
+                let mut block = MembraneBlock::new(count, &green);
+                block.energy = Out::from(&mut density[..]);
+                if gradient.is_some() {
+                    block.stress = Out::from(&mut stress[..]);
+                }
+                T::membrane(&*self.material, &mut block).map_err(|e| self.locate(e, step, c))?;
             }
-            T::membrane(&*self.material, &mut block).map_err(|e| self.locate(e, step, c))?;
             sum(chunk, T::of(weight), &density, &mut energy);
             if let Some(gradient) = gradient.as_deref_mut() {
                 scatter(chunk, T::of(weight), &deformation, &stress, gradient);
@@ -126,6 +166,23 @@ simd_kernel! {
             }
             for k in 0..3 {
                 green[k * count + e * lanes..][..lanes].copy_from_slice(&strain[k * lanes..][..lanes]);
+            }
+        }
+    }
+}
+
+simd_kernel! {
+    /// ψ and S of held stiffness.
+    fn linearised<T>(held: &[Held<T>], green: &[T], density: &mut [T], stress: &mut [T]) {
+        let lanes = T::LANES;
+        let count = CHUNK * lanes;
+        for (e, held) in held.iter().enumerate() {
+            for i in e * lanes..(e + 1) * lanes {
+                let (energy, s) = held.at([green[i], green[count + i], green[2 * count + i]]);
+                density[i] = energy;
+                stress[i] = s[0];
+                stress[count + i] = s[1];
+                stress[2 * count + i] = s[2];
             }
         }
     }
