@@ -18,7 +18,12 @@ fn flat(x: &[Vec3]) -> Vec<f64> {
     x.iter().flat_map(|p| [p.x, p.y, p.z]).collect()
 }
 
-fn check(material: Arc<dyn MaterialModel>, step: f64, tolerance: f64) {
+/// Step of the differences, as a share of each parameter. Solves end within 1e-11 N, on modes of some 0.1 N/m: both ends are
+/// known to 1e-10 m and the difference to 1e-7 m, which falls with the step; its own error is of second order, 1e-6.
+const STEP: f64 = 1e-3;
+
+fn check(material: Arc<dyn MaterialModel>, tolerance: f64) {
+    let step = STEP;
     let rest = sheet(6, 6, [0.12, 0.12], 0.2);
     let fixed = [42, 43, 47, 48];
     let spots: Vec<Vec3> = (0..40)
@@ -69,13 +74,7 @@ fn check(material: Arc<dyn MaterialModel>, step: f64, tolerance: f64) {
         let (ahead, behind) = (moved(1.0), moved(-1.0));
         for i in 0..forward.len() {
             let numeric = (ahead[i] - behind[i]) / (2.0 * step);
-            // Solves end within 1e-11 N, on modes of some 0.1 N/m.
-            let ends = 1e-10 / step;
-            assert!(
-                (numeric - forward[i]).abs() < tolerance * size + ends,
-                "{i}: {} {numeric}, size {size}",
-                forward[i]
-            );
+            assert!((numeric - forward[i]).abs() < tolerance * size, "{i}: {} {numeric}, size {size}", forward[i]);
         }
     }
     solver.set_material(material);
@@ -92,11 +91,12 @@ fn check(material: Arc<dyn MaterialModel>, step: f64, tolerance: f64) {
 
 #[test]
 fn of_stvk() {
-    check(stvk(20.0, 11.0, 4e-5), 1e-4, 2e-4);
+    // The smallest answer is 5e-4 m.
+    check(stvk(20.0, 11.0, 4e-5), 2e-4);
 }
 
 #[test]
 fn of_a_measured_fabric_with_frozen_stiffness() {
-    // Kinks of the table make differences a little rough.
-    check(measured(""), 1e-4, 2e-2);
+    // The smallest answer is 2e-5 m.
+    check(measured(""), 5e-3);
 }
