@@ -1,19 +1,20 @@
-//! A body and its clothes along a clip, skinned: what can be shown before any network is trained.
+//! A body and its clothes along a clip: what can be shown and simulated before any network is trained.
 
+use crate::garment::FittedGarment;
 use crate::moving::{MovingFigure, MovingGarment};
-use caphy_core::body::{BlendWeights, BodyModel, BodyParameters};
+use crate::scene::REACH;
+use crate::simulate::{Simulation, SimulationOptions, Under, simulate};
+use crate::track::{BodyTrack, Reach};
+use caphy_core::body::{BodyModel, BodyParameters};
+use caphy_core::material::MaterialModel;
 use caphy_core::motion::MotionClip;
-use caphy_core::{Result, TriMesh, Vec3};
-use caphy_garment::skinning::{WeightOptions, garment_weights};
-use caphy_garment::template::{Template, pose_by_weights};
+use caphy_core::{Error, Result, TriMesh, Vec3};
+use caphy_garment::energy::LayeringOrder;
+use caphy_garment::skinning::WeightOptions;
+use caphy_garment::template::{GarmentKind, Template};
 use nalgebra::Matrix3x4;
 use rayon::prelude::*;
-
-/// A garment that follows the body by its blend weights alone (Eq. 2 with dV = 0).
-struct SkinnedGarment {
-    template: Template,
-    weights: BlendWeights,
-}
+use std::sync::Arc;
 
 /// A body in a shape, dressed, and its motion.
 pub struct Dressed<'a> {
@@ -21,7 +22,9 @@ pub struct Dressed<'a> {
     subject: BodyParameters,
     /// The T-posed surface [m].
     rest: TriMesh,
-    garments: Vec<SkinnedGarment>,
+    garments: Vec<FittedGarment>,
+    /// Simulated vertices [m], shape [garment][frame][vertex]; empty: garments follow the body by their weights alone.
+    shapes: Vec<Vec<Vec<Vec3>>>,
     clip: MotionClip,
     /// Blend transforms of each frame, shape [frame][joint].
     transforms: Vec<Vec<Matrix3x4<f64>>>,
@@ -44,17 +47,59 @@ impl<'a> Dressed<'a> {
         let rest = TriMesh { vertices: body.forward(&subject)?.vertices, faces: description.faces.clone() };
         let garments = templates
             .into_iter()
-            .map(|template| {
-                let mesh = &template.mesh;
-                let weights =
-                    garment_weights(&mesh.vertices, &mesh.faces, &rest.vertices, &description.weights, weights)?;
-                Ok(SkinnedGarment { template, weights })
-            })
+            .map(|template| FittedGarment::new(template, &rest.vertices, &description.weights, weights))
             .collect::<Result<Vec<_>>>()?;
         let frames: Vec<Result<_>> =
             clip.poses.par_iter().map(|pose| Ok(body.skeleton(&subject.posed(pose))?.transforms)).collect();
         let transforms = frames.into_iter().collect::<Result<Vec<_>>>()?;
-        Ok(Self { body, subject, rest, garments, clip, transforms })
+        Ok(Self { body, subject, rest, garments, shapes: Vec::new(), clip, transforms })
+    }
+    /// Simulates every garment in the order of `materials`, the inner ones first: lower before upper garments when `order` is
+    /// over, the other way round when tucked. Frames show the answers from then on; returns how they were solved.
+    ///
+    /// # Errors
+    /// As [`simulate`]; [`Error::Length`] for another number of materials than garments.
+    pub fn simulate(
+        &mut self,
+        materials: &[Arc<dyn MaterialModel>],
+        order: LayeringOrder,
+        options: &SimulationOptions,
+        progress: &dyn Fn(f64, &str),
+    ) -> Result<Vec<Simulation>> {
+        Error::check_length("materials, one per garment", self.garments.len(), materials.len())?;
+        let templates: Vec<&[Vec3]> = self.garments.iter().map(|g| &g.mesh.vertices[..]).collect();
+        let reach = Reach::new(&self.rest, &templates, REACH)?;
+        let track = BodyTrack::new(self.body, &self.subject, &reach, &self.clip.poses)?;
+        let innermost = match order {
+            LayeringOrder::Over => GarmentKind::Lower,
+            LayeringOrder::Tucked => GarmentKind::Upper,
+        };
+        let mut inside_out: Vec<usize> = (0..self.garments.len()).collect();
+        inside_out.sort_by_key(|&g| self.garments[g].kind != innermost);
+        let mut done: Vec<(usize, Simulation)> = Vec::new();
+        for (k, &g) in inside_out.iter().enumerate() {
+            let garment = &self.garments[g];
+            let contact = reach.contact(&self.rest, garment)?;
+            let under = done.last().map(|(inner, simulation)| Under {
+                faces: &self.garments[*inner].mesh.faces,
+                frames: &simulation.frames,
+            });
+            let count = inside_out.len() as f64;
+            let say = |s: f64, text: &str| progress((k as f64 + s) / count, &format!("{}: {text}", garment.kind));
+            done.push((g, simulate(garment, materials[g].clone(), &track, &contact, under, options, &say)?));
+        }
+        done.sort_by_key(|d| d.0);
+        let done: Vec<Simulation> = done.into_iter().map(|d| d.1).collect();
+        self.shapes = done.iter().map(|s| s.frames.clone()).collect();
+        Ok(done)
+    }
+    /// The garments.
+    pub fn worn(&self) -> &[FittedGarment] {
+        &self.garments
+    }
+    /// Frames per second.
+    pub fn fps(&self) -> f64 {
+        self.clip.fps
     }
     /// Number of frames.
     pub fn frame_count(&self) -> usize {
@@ -79,10 +124,12 @@ impl MovingFigure for Dressed<'_> {
         Ok(self.body.forward(&self.subject.posed(&self.clip.poses[frame]))?.vertices)
     }
     fn garments(&self) -> Vec<MovingGarment<'_>> {
-        self.garments.iter().map(|g| MovingGarment { kind: g.template.kind, mesh: &g.template.mesh }).collect()
+        self.garments.iter().map(|g| MovingGarment { kind: g.kind, mesh: &g.mesh }).collect()
     }
     fn garment_frame(&self, garment: usize, frame: usize) -> Result<Vec<Vec3>> {
-        let worn = &self.garments[garment];
-        pose_by_weights(&worn.template.mesh.vertices, &worn.weights, &self.transforms[frame])
+        match self.shapes.get(garment) {
+            Some(frames) => Ok(frames[frame].clone()),
+            None => self.garments[garment].skinned(&self.transforms[frame]),
+        }
     }
 }

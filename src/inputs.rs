@@ -6,8 +6,10 @@ use crate::motion::clip_of_file;
 use crate::plugins::{Kind, PluginTable, Plugins};
 use caphy_bodymodel::procedural_motion::MotionKind;
 use caphy_core::body::BodyModel;
+use caphy_core::material::MaterialModel;
 use caphy_core::{Error, Result};
 use caphy_garment::template::{GarmentKind, GivenStyle, Style, Tailor, TemplateSource};
+use caphy_materials::measured::Fabric;
 use std::path::{Path, PathBuf};
 
 /// The file's ending in lower case; empty without one.
@@ -60,6 +62,33 @@ pub fn body(argument: &str, plugins: &Plugins) -> Result<Box<dyn BodyModel>> {
             PluginTable::parse(plugins, Kind::Body, path, &text)?.body(&ProjectFiles::new("."))
         }
     }
+}
+
+/// One of the ten fabrics by name, a material type without keys, or a TOML file with a material's table.
+///
+/// # Errors
+/// As [`body`], for materials.
+pub fn material(argument: &str, plugins: &Plugins) -> Result<Box<dyn MaterialModel>> {
+    let path = Path::new(argument);
+    if ending(path) == "toml" {
+        let (table, _) = table_in(Kind::Material, path, plugins)?;
+        return table.material("material").map_err(|error| match error {
+            // A material knows its keys, not the file that they stand in.
+            Error::Config { key, problem, remedy } => Error::format(path, format!("`{key}`"), problem, remedy),
+            other => other,
+        });
+    }
+    let fabrics: Vec<String> = Fabric::all()?.into_iter().map(|f| f.name).collect();
+    if fabrics.iter().any(|f| f == argument) {
+        let text = format!("type = \"measured\"\nfabric = \"{argument}\"\n");
+        return PluginTable::parse(plugins, Kind::Material, path, &text)?.material("material");
+    }
+    if plugins.names(Kind::Material).iter().any(|n| n == argument) {
+        return PluginTable::parse(plugins, Kind::Material, path, &format!("type = \"{argument}\"\n"))?
+            .material("material");
+    }
+    let remedy = format!("give a .toml with a table, or a fabric: {}", fabrics.join(", "));
+    Err(Error::config("material", format!("`{argument}` is neither a file nor a fabric"), remedy))
 }
 
 /// Garments that an argument names.

@@ -23,6 +23,7 @@ pub mod progress;
 pub mod runner;
 pub mod scene;
 pub mod show;
+pub mod simulate;
 pub mod stage;
 pub mod track;
 pub mod trainer;

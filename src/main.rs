@@ -33,6 +33,9 @@ enum Command {
     /// Play a motion clip on a dressed body and write files that other programs open.
     #[command(after_help = command::animate::EXAMPLES)]
     Animate(command::animate::Arguments),
+    /// Simulate garments along a motion clip by the reference solver, at rest in each frame or in motion.
+    #[command(after_help = command::simulate::EXAMPLES)]
+    Simulate(command::simulate::Arguments),
     /// Ask a material for its answers to deformation gradients or folds.
     #[command(after_help = command::probe::EXAMPLES)]
     Probe(command::probe::Arguments),
@@ -66,6 +69,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Run(arguments) => command::run::run(arguments, &mut plugins),
         Command::Show(what) => command::show::run(what, &plugins),
         Command::Animate(arguments) => command::animate::run(arguments, &plugins),
+        Command::Simulate(arguments) => command::simulate::run(arguments, &plugins),
         Command::Probe(arguments) => command::probe::run(arguments, &plugins),
         Command::Check(arguments) => command::check::run(arguments, &mut plugins),
     }

@@ -18,7 +18,7 @@ use caphy_garment::template::GarmentKind;
 use std::sync::Arc;
 
 /// Body vertices farther than this from every garment in the T-pose are left out of collision [m].
-const REACH: f64 = 0.12;
+pub(crate) const REACH: f64 = 0.12;
 
 /// The subject's body and where garments can touch it.
 pub struct Scene {

@@ -2,9 +2,11 @@
 
 pub(crate) mod animate;
 pub(crate) mod check;
+mod figure;
 pub(crate) mod probe;
 pub(crate) mod run;
 pub(crate) mod show;
+pub(crate) mod simulate;
 
 use caphy_core::{Error, Result};
 use serde::Serialize;

@@ -1,7 +1,8 @@
 //! `caphy probe`
 
 use super::json;
-use caphy::plugins::{Kind, PluginTable, Plugins};
+use caphy::inputs;
+use caphy::plugins::Plugins;
 use caphy::probe;
 use caphy_core::material::MaterialModel;
 use caphy_core::{Error, Result};
@@ -22,8 +23,8 @@ opposite) on both sides, world positions [m] of n0, n1, n2, n3, rest angle [rad]
 #[derive(clap::Args)]
 #[command(group(clap::ArgGroup::new("input").required(true).args(["gradients", "hinges"])))]
 pub(crate) struct Arguments {
-    /// The material's table: `type = "…"` and its keys.
-    material: PathBuf,
+    /// A fabric's name, or a TOML file with a material's table: `type = "…"` and its keys.
+    material: String,
     /// JSON array of 3x2 deformation gradients, row-major.
     #[arg(long, value_name = "FILE")]
     gradients: Option<PathBuf>,
@@ -36,14 +37,7 @@ pub(crate) struct Arguments {
 }
 
 pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> {
-    let path = &arguments.material;
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-    let table = PluginTable::parse(plugins, Kind::Material, path, &text)?;
-    let material: Arc<dyn MaterialModel> = Arc::from(table.material("material").map_err(|error| match error {
-        // A material knows its keys, not the file that they stand in.
-        Error::Config { key, problem, remedy } => Error::format(path, format!("`{key}`"), problem, remedy),
-        other => other,
-    })?);
+    let material: Arc<dyn MaterialModel> = Arc::from(inputs::material(&arguments.material, plugins)?);
     let read = |path: &Path| std::fs::read(path).map_err(|e| Error::io(path, "read", e));
     if let Some(file) = &arguments.gradients {
         let answers = probe::gradients(&*material, file, &read(file)?)?;

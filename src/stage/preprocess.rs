@@ -12,7 +12,6 @@ use caphy_core::body::{BodyModel, BodyParameters, PosedBody};
 use caphy_core::pose::Pose;
 use caphy_core::scan::{Label, LabelledPoints, Scan};
 use caphy_core::{Error, Result, TriMesh, Vec3};
-use caphy_garment::skinning::garment_weights;
 use caphy_garment::template::{
     BodyRest, ChooseOptions, GarmentKind, Tailor, Template, choose_template, pose_by_nearest_vertex, refine, templates,
 };
@@ -187,23 +186,10 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     for (k, kind) in [GarmentKind::Upper, GarmentKind::Lower].into_iter().enumerate() {
         progress.set(0.8 + 0.07 * k as f64, &format!("{kind} template"));
         let (template, choice) = choose(context, &*body, &subject_body, &subject, &tailor, kind)?;
-        let weights = garment_weights(
-            &template.mesh.vertices,
-            &template.mesh.faces,
-            &rest_vertices,
-            &body.describe().weights,
-            &garment_config(context.config, kind).weights,
-        )?;
+        let options = &garment_config(context.config, kind).weights;
+        let weights = &body.describe().weights;
         subject.choices.push(choice);
-        subject.garments.push(FittedGarment {
-            kind,
-            style: template.style,
-            weights,
-            material_uv: template.material_uv,
-            loops: template.loops,
-            grain: template.grain,
-            mesh: template.mesh,
-        });
+        subject.garments.push(FittedGarment::new(template, &rest_vertices, weights, options)?);
     }
     progress.set(0.95, "pictures");
     subject.pictures = draw(context, &*body, &subject_body, &subject, &surfaces)?;

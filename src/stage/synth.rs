@@ -6,6 +6,7 @@ use crate::config::SyntheticConfig;
 use crate::garment::FittedGarment;
 use crate::physics::{Dynamics, Physics};
 use crate::scene::label_of;
+use crate::simulate::joined;
 use crate::track::{BodyTrack, Reach};
 use caphy_bodymodel::procedural_motion::static_poses;
 use caphy_core::lanes::Frames;
@@ -17,7 +18,7 @@ use caphy_core::{Real, Result, TriMesh, Vec3, mesh};
 use caphy_garment::contact::ContactMap;
 use caphy_garment::energy::{BodyState, ContactOptions, State, frame_normals};
 use caphy_garment::relax::{RelaxReport, RelaxSettings, relax};
-use caphy_garment::skinning::{Skinner, WeightOptions, garment_weights};
+use caphy_garment::skinning::{Skinner, WeightOptions};
 use caphy_garment::template::{BodyRest, GarmentKind, Style, Tailor, Template};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -92,7 +93,8 @@ pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
         let template = &templates[index];
         let (table, key) = tables[index];
         let material: Arc<dyn MaterialModel> = Arc::from(table.material(key)?);
-        let worn = fitted(template, &rest_mesh, &body.describe().weights)?;
+        let weights = &body.describe().weights;
+        let worn = FittedGarment::new(template.clone(), &rest_mesh.vertices, weights, &WeightOptions::default())?;
         let under = at_rest.first().map(|(under, shapes, ..)| (&templates[*under].mesh.faces[..], &shapes[..]));
         let say = |s: f64| {
             context.progress.set(0.4 * at_rest.len() as f64 + 0.4 * s, &format!("{} comes to rest", template.kind))
@@ -144,20 +146,6 @@ pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
         })
         .collect();
     Ok(Scans { list, truth: Some(Truth { shape, poses, joints: true_joints, garments }) })
-}
-
-/// A template with its smoothed weights.
-fn fitted(template: &Template, body: &TriMesh, weights: &caphy_core::body::BlendWeights) -> Result<FittedGarment> {
-    let mesh = &template.mesh;
-    Ok(FittedGarment {
-        kind: template.kind,
-        style: template.style.clone(),
-        weights: garment_weights(&mesh.vertices, &mesh.faces, &body.vertices, weights, &WeightOptions::default())?,
-        mesh: mesh.clone(),
-        material_uv: template.material_uv.clone(),
-        loops: template.loops.clone(),
-        grain: template.grain.clone(),
-    })
 }
 
 /// Brings a garment to rest on the body in every frame of a track, over another garment where there is one.
@@ -216,17 +204,6 @@ pub fn drape(
     report.at_rest.truncate(frames);
     let shapes = (0..frames).map(|i| x.frame(i / lanes, i % lanes)).collect();
     Ok((shapes, report))
-}
-
-/// Vertices of both, one after the other.
-fn joined(a: &Frames<f64>, b: &Frames<f64>) -> Frames<f64> {
-    let mut out = Frames::zeros(a.blocks(), a.vertices() + b.vertices(), a.lanes_used());
-    for block in 0..a.blocks() {
-        let (front, back) = out.block_mut(block).split_at_mut(a.block_len());
-        front.copy_from_slice(a.block(block));
-        back.copy_from_slice(b.block(block));
-    }
-    out
 }
 
 /// What cameras all around see of the parts: one mesh with noise, colours and labels.

@@ -1,0 +1,164 @@
+//! Garments along a clip by the reference solver: without a network, the accuracy end of the trade.
+
+use crate::garment::FittedGarment;
+use crate::track::BodyTrack;
+use caphy_core::lanes::Frames;
+use caphy_core::material::MaterialModel;
+use caphy_core::{Error, Real, Result, Vec3};
+use caphy_garment::contact::ContactMap;
+use caphy_garment::energy::frame_normals;
+use caphy_garment::solver::{Dynamics, Forces, Obstacle, Outcome, Scene, SolveReport, Solver, SolverSettings};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// How frames follow each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum Steps {
+    /// Every frame at rest: no inertia.
+    QuasiStatic,
+    /// Backward Euler steps, one per frame; the clip begins at rest on a body that already moves.
+    Dynamic,
+}
+
+/// What acts, and how exactly it is solved.
+#[derive(Debug, Clone, Copy)]
+pub struct SimulationOptions {
+    /// At rest in every frame, or in motion.
+    pub steps: Steps,
+    /// Frames per second: the time step of motion.
+    pub fps: f64,
+    /// Energies and their weights.
+    pub forces: Forces,
+    /// The solver's settings.
+    pub settings: SolverSettings,
+}
+
+/// Another garment underneath, in the same frames.
+#[derive(Clone, Copy)]
+pub struct Under<'a> {
+    /// Its triangles.
+    pub faces: &'a [[u32; 3]],
+    /// Its vertices [m], shape [frame][vertex].
+    pub frames: &'a [Vec<Vec3>],
+}
+
+/// A simulated garment.
+#[derive(Debug, Clone)]
+pub struct Simulation {
+    /// Vertices [m], shape [frame][vertex].
+    pub frames: Vec<Vec<Vec3>>,
+    /// How each frame was solved.
+    pub reports: Vec<SolveReport>,
+}
+
+impl Simulation {
+    /// Frames in which forces did not come below the tolerance.
+    pub fn unconverged(&self) -> usize {
+        self.reports.iter().filter(|r| matches!(r.outcome, Outcome::IterationLimit | Outcome::Stalled)).count()
+    }
+    /// Largest force that was left on a vertex in any frame [N].
+    pub fn worst_residual_n(&self) -> f64 {
+        self.reports.iter().map(|r| r.residual_n).fold(0.0, f64::max)
+    }
+    /// Newton steps over all frames.
+    pub fn iterations(&self) -> usize {
+        self.reports.iter().map(|r| r.iterations).sum()
+    }
+}
+
+/// Solves for a garment in every frame of a track; each frame starts from the one before, carried along by skinning.
+///
+/// `progress` hears the share that is done and a word on it.
+///
+/// # Errors
+/// As [`Solver::solve`]; [`Error::Length`] for another number of frames underneath.
+pub fn simulate(
+    garment: &FittedGarment,
+    material: Arc<dyn MaterialModel>,
+    track: &BodyTrack,
+    contact: &ContactMap,
+    under: Option<Under<'_>>,
+    options: &SimulationOptions,
+    progress: &dyn Fn(f64, &str),
+) -> Result<Simulation> {
+    if let Some(under) = under {
+        Error::check_length("frames of the garment underneath", track.len(), under.frames.len())?;
+    }
+    let rest = garment.rest(&*material)?;
+    let mut solver = Solver::new(&rest, material, options.forces, options.settings)?;
+    let contact = match under {
+        Some(under) => contact.clone().with_obstacle(under.frames.first().map_or(0, Vec::len)),
+        None => contact.clone(),
+    };
+    let count = track.len();
+    let mut out = Simulation { frames: Vec::with_capacity(count), reports: Vec::with_capacity(count) };
+    let mut motion: Option<Dynamics> = None;
+    let mut before: Option<Frames<f64>> = None;
+    let mut anchors: Option<Vec<Vec3>> = None;
+    for frame in 0..count {
+        let (body, normals) = surroundings(track, under, frame)?;
+        let transforms = track.transforms(&[frame])[0];
+        let skinned = garment.skinned(transforms)?;
+        let targets: Vec<Vec3> = solver.held_vertices().iter().map(|&v| skinned[v as usize]).collect();
+        let start = match out.frames.last() {
+            Some(last) => garment.carried(last, track.transforms(&[frame - 1])[0], transforms),
+            None => skinned,
+        };
+        let nearest = |x: &Frames<f64>| contact.nearest(x, &body);
+        let scene = Scene {
+            body: Some(Obstacle {
+                positions: &body,
+                normals: &normals,
+                before: before.as_ref(),
+                search: Some(&nearest),
+            }),
+            targets: Some(&targets),
+            anchors: anchors.as_deref(),
+            ..Scene::default()
+        };
+        let say = |p: caphy_garment::solver::Progress| {
+            // How many steps a frame takes is not known in advance: the bar moves by frames.
+            let share = frame as f64 / count as f64;
+            progress(share, &format!("frame {frame} of {count}, step {}, {:.1e} N", p.iteration, p.residual_n));
+        };
+        let solution = match &mut motion {
+            Some(motion) => motion.advance(&mut solver, &scene, Some(&start), &say)?,
+            None => solver.solve(&scene, &start, &say)?,
+        };
+        anchors = Some(solution.anchors.clone());
+        if options.steps == Steps::Dynamic && frame == 0 && count > 1 {
+            // The clip goes on from a motion that it does not show: the cloth moves with the body at first.
+            let next = garment.carried(&solution.positions, transforms, track.transforms(&[1])[0]);
+            let velocity = next.iter().zip(&solution.positions).map(|(b, a)| (b - a) * options.fps).collect();
+            motion = Some(Dynamics::new(solution.positions.clone(), Some(velocity), 1.0 / options.fps)?);
+        }
+        out.frames.push(solution.positions);
+        out.reports.push(solution.report);
+        before = Some(body);
+    }
+    Ok(out)
+}
+
+/// Positions and normals of everything that the garment may touch in one frame.
+fn surroundings(track: &BodyTrack, under: Option<Under<'_>>, frame: usize) -> Result<(Frames<f64>, Frames<f64>)> {
+    let (body, normals) = track.gather::<f64>(&[frame], 1);
+    let Some(under) = under else { return Ok((body, normals)) };
+    let vertices = &under.frames[frame];
+    let mut other = Frames::zeros(1, vertices.len(), 1);
+    other.set_frame(0, 0, vertices)?;
+    let other_normals = frame_normals(&other, under.faces)?;
+    Ok((joined(&body, &other), joined(&normals, &other_normals)))
+}
+
+/// Vertices of both, one after the other.
+pub fn joined<T: Real>(a: &Frames<T>, b: &Frames<T>) -> Frames<T> {
+    let mut out = Frames::zeros(a.blocks(), a.vertices() + b.vertices(), a.lanes_used());
+    for block in 0..a.blocks() {
+        let (front, back) = out.block_mut(block).split_at_mut(a.block_len());
+        front.copy_from_slice(a.block(block));
+        back.copy_from_slice(b.block(block));
+    }
+    out
+}
