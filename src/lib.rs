@@ -4,6 +4,7 @@
 //! The stages in [`stage`] follow the paper's method section; [`runner`] runs them in order and skips what is done.
 
 pub mod artifact;
+pub mod avatar;
 pub mod config;
 pub mod conformity;
 pub mod dressed;
@@ -16,10 +17,12 @@ pub mod motion;
 pub mod moving;
 pub mod physics;
 pub mod pictures;
+pub mod plan;
 pub mod plot;
 pub mod plugins;
 pub mod probe;
 pub mod progress;
+pub mod quality;
 pub mod runner;
 pub mod scene;
 pub mod show;

@@ -25,7 +25,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Run every stage of an experiment, from scans to report; finished stages are not run again.
-    #[command(after_help = "Example:\n  caphy run configs/quickstart.toml")]
+    #[command(after_help = command::run::EXAMPLES)]
     Run(command::run::Arguments),
     /// Show what caphy has or reads, as tables and pictures.
     #[command(subcommand)]

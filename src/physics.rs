@@ -1,6 +1,6 @@
 //! A garment with everything that pulls at it: Eq. 6 term by term, with the configured weights.
 
-use crate::config::TermWeights;
+use crate::config::{TermWeights, TrainConfig};
 use caphy_core::lanes::Frames;
 use caphy_core::material::{MaterialModel, MaterialReal};
 use caphy_core::{Result, Vec3};
@@ -8,6 +8,7 @@ use caphy_garment::GarmentRest;
 use caphy_garment::energy::{
     Attachment, Bending, Collision, ContactOptions, EnergyTerm, Gravity, Inertia, InertiaRule, RestAngle, State, Strain,
 };
+use caphy_garment::solver::Forces;
 use std::sync::Arc;
 
 /// Acceleration of free fall [m/s²].
@@ -115,5 +116,17 @@ impl<T: MaterialReal> Physics<T> {
             out.push((term.name(), mean));
         }
         Ok(out)
+    }
+}
+
+/// The reference solver's forces for the energies that nets are trained with.
+pub fn solver_forces(train: &TrainConfig) -> Forces {
+    let w = &train.weights;
+    Forces {
+        gravity: GRAVITY,
+        rest_angle: RestAngle::Template,
+        contact: train.contact,
+        attachment: WAISTBAND,
+        weights: [w.strain, w.bending, w.gravity, w.collision, w.attachment],
     }
 }

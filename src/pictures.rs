@@ -3,6 +3,7 @@
 use caphy_core::pose::Pose;
 use caphy_core::scan::{Label, LabelledPoints};
 use caphy_core::{Result, TriMesh, Vec3, mesh};
+use caphy_garment::template::GarmentKind;
 use caphy_render::shade::{CLAY_LOWER, CLAY_SKIN, CLAY_UPPER};
 use caphy_render::{Layer, Picture, Projection, Rgb, frame, png};
 
@@ -33,6 +34,17 @@ pub fn dressed(dressed: &Dressed<'_>, from: &Vec3) -> Rgb {
     let mut layers = vec![Layer::uniform(dressed.body, CLAY_SKIN)];
     layers.extend(dressed.garments.iter().zip(colours).map(|(mesh, colour)| Layer::uniform(mesh, colour)));
     let bounds = mesh::bounds(&dressed.body.vertices).unwrap_or((Vec3::zeros(), Vec3::repeat(1.0)));
+    draw(layers, padded(bounds), from)
+}
+
+/// A body in one garment, near: framed by the garment.
+pub fn worn(body: &TriMesh, garment: &TriMesh, kind: GarmentKind, from: &Vec3) -> Rgb {
+    let colour = match kind {
+        GarmentKind::Upper => CLAY_UPPER,
+        GarmentKind::Lower => CLAY_LOWER,
+    };
+    let layers = vec![Layer::uniform(body, CLAY_SKIN), Layer::uniform(garment, colour)];
+    let bounds = mesh::bounds(&garment.vertices).unwrap_or((Vec3::zeros(), Vec3::repeat(1.0)));
     draw(layers, padded(bounds), from)
 }
 

@@ -40,6 +40,16 @@ impl Progress {
         let started = Instant::now();
         Self { stage: stage.into(), bar, started, lines: Mutex::new(Lines { last: started, from: None }) }
     }
+    /// Shows nothing: for work that is over in a moment.
+    pub fn silent() -> Self {
+        let started = Instant::now();
+        Self {
+            stage: String::new(),
+            bar: Some(ProgressBar::hidden()),
+            started,
+            lines: Mutex::new(Lines { last: started, from: None }),
+        }
+    }
     /// Sets the share done, in [0, 1], with a short word on what is going on.
     pub fn set(&self, share: f64, message: &str) {
         let share = share.clamp(0.0, 1.0);

@@ -3,9 +3,13 @@
 use crate::artifact;
 use crate::config::{Config, PluginConfig, SubjectConfig};
 use crate::files::ProjectFiles;
+use crate::plan::ScenePlan;
 use crate::plugins::Plugins;
 use crate::progress::Progress;
-use crate::stage::{self, Context, StageOutput};
+use crate::scene::Scene;
+use crate::stage::preprocess::Subject;
+use crate::stage::train::Nets;
+use crate::stage::{self, Context, Scans, StageOutput};
 use caphy_core::files::Files;
 use caphy_core::{Error, Result};
 use std::collections::BTreeMap;
@@ -18,6 +22,8 @@ pub struct Run {
     files: ProjectFiles,
     folder: PathBuf,
     timings: Mutex<BTreeMap<String, f64>>,
+    plan: ScenePlan,
+    dry: bool,
     ran: Vec<&'static str>,
     /// Held until the run is dropped: two processes in one folder would overwrite each other's checkpoints.
     _lock: std::fs::File,
@@ -30,8 +36,32 @@ pub struct Summary {
     pub folder: PathBuf,
     /// Stages that were run, the others were up to date.
     pub ran: Vec<&'static str>,
-    /// The table of the evaluation, as text.
+    /// Tables of what was measured, as text.
     pub table: String,
+    /// The report, unless the run was narrowed to another stage.
+    pub report: Option<PathBuf>,
+}
+
+/// Why the stages end early.
+enum Halt {
+    Failed(Error),
+    /// A dry run does not run this stage.
+    NotDone(&'static str),
+}
+
+impl From<Error> for Halt {
+    fn from(error: Error) -> Self {
+        Self::Failed(error)
+    }
+}
+
+/// Tables of the configuration that preprocessing reads, besides the garments'.
+const PREPROCESSING: [&str; 4] = ["body", "segmenter", "views", "registration"];
+
+/// Estimated fabrics of trained nets: what a simulation depends on of them.
+fn fabric_hash(nets: Option<&Nets>) -> String {
+    let fabrics: Vec<&Vec<f64>> = nets.iter().flat_map(|n| &n.garments).filter_map(|g| g.material.as_ref()).collect();
+    artifact::hash(format!("{fabrics:?}").as_bytes())
 }
 
 impl Run {
@@ -67,11 +97,43 @@ impl Run {
             .ok()
             .and_then(|bytes| serde_json::from_slice(&bytes).ok())
             .unwrap_or_default();
-        Ok(Run { config, files, folder, timings: Mutex::new(timings), ran: Vec::new(), _lock: lock })
+        let plan = ScenePlan::new(&config);
+        Ok(Run { config, files, folder, timings: Mutex::new(timings), plan, dry: false, ran: Vec::new(), _lock: lock })
+    }
+
+    /// Narrows the run to one stage and what it needs.
+    ///
+    /// # Errors
+    /// As [`ScenePlan::only`].
+    pub fn only(mut self, target: &str) -> Result<Self> {
+        self.plan = self.plan.only(target)?;
+        Ok(self)
     }
 
     /// Everything, from scans to the report.
     pub fn all(mut self) -> Result<Summary> {
+        let told = self.stages(false).map_err(|halt| match halt {
+            Halt::Failed(error) => error,
+            Halt::NotDone(stage) => Error::unsupported(stage, "a run that only plans"),
+        })?;
+        let report = self.plan.has("report").then(|| self.folder.join("report.html"));
+        Ok(Summary { folder: self.folder, ran: self.ran, table: told, report })
+    }
+
+    /// What the run would do: nothing but the dressing of a subject without scans, which takes seconds, is run.
+    ///
+    /// # Errors
+    /// As [`Run::all`], for what is looked at.
+    pub fn plan(mut self) -> Result<ScenePlan> {
+        match self.stages(true) {
+            Ok(_) | Err(Halt::NotDone(_)) => Ok(self.plan),
+            Err(Halt::Failed(error)) => Err(error),
+        }
+    }
+
+    /// All stages that are on, in their order; returns the tables of what was measured. `dry`: up to the first that is not done.
+    fn stages(&mut self, dry: bool) -> std::result::Result<String, Halt> {
+        self.dry = dry;
         let c = serde_json::to_value(&self.config)
             .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
         // Parts of the configuration by their dotted paths.
@@ -79,80 +141,149 @@ impl Run {
             paths.iter().map(|path| path.split('.').fold(&c, |value, name| &value[name]).clone()).collect()
         };
         self.config.check_files(&self.files)?;
-
-        let scans = match &self.config.subject {
-            SubjectConfig::Synthetic(synthetic) => {
-                let synthetic = synthetic.clone();
-                let key = part(&["subject", "body"]);
-                let mut scans = self.stage("synth", &key, "", |cx| stage::synth::run(cx, &synthetic))?.0;
-                for scan in &mut scans.list {
-                    scan.path = self.folder.join(&scan.path);
-                }
-                scans
-            }
-            SubjectConfig::Scans(scans) => {
-                let scans = scans.clone();
-                stage::scan_list(&self.files, &scans)?
-            }
-        };
-        let scan_hash = stage::hash_scans(&scans)?;
-
-        // No fabric yet: another one must not cost another registration.
-        let templates = ["styles", "resolution_m", "template", "weights"]
+        // A garment's own tables, without its fabric: another one must not cost another registration.
+        let templates = ["styles", "resolution_m", "template", "weights", "style"]
             .iter()
             .flat_map(|key| [format!("upper.{key}"), format!("lower.{key}")])
             .collect::<Vec<_>>();
         let templates: Vec<&str> = templates.iter().map(String::as_str).collect();
-        let key = part(&[&["body", "segmenter", "views", "registration"][..], &templates].concat());
-        let (subject, subject_hash) =
-            self.stage("preprocess", &key, &scan_hash, |cx| stage::preprocess::run(cx, &scans))?;
+
+        let mut scans = Scans { list: Vec::new(), truth: None };
+        let (subject, subject_hash) = match &self.config.subject {
+            SubjectConfig::Dressed(dressed) => {
+                let dressed = dressed.clone();
+                let key = part(&[&["body", "subject"][..], &templates].concat());
+                // The plan needs the garments.
+                self.dry = false;
+                let out = self.stage("dress", &key, "", |cx| stage::dress::run(cx, &dressed))?;
+                self.dry = dry;
+                out
+            }
+            SubjectConfig::Synthetic(synthetic) => {
+                let synthetic = synthetic.clone();
+                let key = part(&["subject", "body"]);
+                scans = self.stage("synth", &key, "", |cx| stage::synth::run(cx, &synthetic))?.0;
+                for scan in &mut scans.list {
+                    scan.path = self.folder.join(&scan.path);
+                }
+                self.preprocess(&part(&[&PREPROCESSING, &templates[..]].concat()), &scans)?
+            }
+            SubjectConfig::Scans(folder) => {
+                scans = stage::scan_list(&self.files, folder)?;
+                self.preprocess(&part(&[&PREPROCESSING, &templates[..]].concat()), &scans)?
+            }
+        };
+        if dry {
+            self.describe(&subject)?;
+        }
 
         let key = part(&["upper", "lower", "body", "net", "motion", "train"]);
         let rounds = self.config.train.rounds;
-        let (mut nets, mut hash) = self.stage("train", &key, &subject_hash, |cx| {
-            stage::train::run(cx, &subject, &stage::train::Start::fresh(rounds))
-        })?;
+        let mut trained: Option<(Nets, String)> = None;
+        if self.plan.has("train") {
+            let start = stage::train::Start::fresh(rounds);
+            trained = Some(self.stage("train", &key, &subject_hash, |cx| stage::train::run(cx, &subject, &start))?);
+        }
         let mut fabrics = Vec::new();
         for alternation in 0..self.config.optimise.alternations {
-            let key = part(&["upper", "lower", "body", "net", "train", "optimise"]);
             let (name, again) = stage::alternation_names(alternation);
+            let Some((nets, hash)) = trained.as_ref().filter(|_| self.plan.has(name)) else { continue };
+            let (nets, hash) = (nets.clone(), hash.clone());
+            let key = part(&["upper", "lower", "body", "net", "train", "optimise"]);
             let (estimate, estimate_hash) =
                 self.stage(name, &key, &hash, |cx| stage::optimise::run(cx, &subject, &nets))?;
-            let key = part(&["upper", "lower", "body", "net", "motion", "train", "optimise"]);
-            let rounds = self.config.optimise.rounds;
-            let start = stage::train::Start::from_estimate(&nets, &estimate, rounds);
-            (nets, hash) = self.stage(again, &key, &estimate_hash, |cx| stage::train::run(cx, &subject, &start))?;
+            if self.plan.has(again) {
+                let key = part(&["upper", "lower", "body", "net", "motion", "train", "optimise"]);
+                let rounds = self.config.optimise.rounds;
+                let start = stage::train::Start::from_estimate(&nets, &estimate, rounds);
+                trained = Some(self.stage(again, &key, &estimate_hash, |cx| stage::train::run(cx, &subject, &start))?);
+            }
             fabrics.push(estimate);
         }
-        let key = part(&["upper", "lower", "body", "net", "motion", "train", "finetune"]);
-        let (avatar, avatar_hash) =
-            self.stage("finetune", &key, &hash, |cx| stage::finetune::run(cx, &subject, &nets))?;
-
-        let key = part(&["upper", "lower", "body", "net", "motion", "train", "finetune", "evaluate", "subject"]);
-        let (scores, scores_hash) = self.stage("evaluate", &key, &avatar_hash, |cx| {
-            stage::evaluate::run(cx, &subject, &nets, &avatar, &fabrics, &scans)
-        })?;
+        let mut tables = String::new();
+        let mut compared = None;
+        let mut compared_hash = String::new();
+        if self.plan.has("reference") {
+            // Nothing of the nets: another training is compared with the same simulation.
+            let key = part(&["upper", "lower", "body", "compare", "motion.fps", "train.contact", "train.weights"]);
+            let fitted = subject_hash.clone() + &fabric_hash(trained.as_ref().map(|t| &t.0));
+            let materials = trained.as_ref().map(|t| t.0.clone());
+            let (reference, reference_hash) =
+                self.stage("reference", &key, &fitted, |cx| stage::reference::run(cx, &subject, materials.as_ref()))?;
+            if let Some((nets, hash)) = trained.as_ref().filter(|_| self.plan.has("compare")) {
+                let (nets, upstream) = (nets.clone(), format!("{hash}{reference_hash}"));
+                let key = part(&["upper", "lower", "body", "net", "compare", "train.contact", "train.weights"]);
+                let (comparison, hash) =
+                    self.stage("compare", &key, &upstream, |cx| stage::compare::run(cx, &subject, &nets, &reference))?;
+                tables.push_str(&comparison.table());
+                (compared, compared_hash) = (Some(comparison), hash);
+            }
+        }
+        let Some((nets, hash)) = trained else { return Ok(tables) };
+        let (mut avatar, mut avatar_hash) = (nets.clone(), hash.clone());
+        if self.plan.has("finetune") {
+            let key = part(&["upper", "lower", "body", "net", "motion", "train", "finetune"]);
+            (avatar, avatar_hash) =
+                self.stage("finetune", &key, &hash, |cx| stage::finetune::run(cx, &subject, &nets))?;
+        }
+        let (mut scores, mut scores_hash) = (None, String::new());
+        if self.plan.has("evaluate") {
+            let key = part(&["upper", "lower", "body", "net", "motion", "train", "finetune", "evaluate", "subject"]);
+            let (measured, hash) = self.stage("evaluate", &key, &avatar_hash, |cx| {
+                stage::evaluate::run(cx, &subject, &nets, &avatar, &fabrics, &scans)
+            })?;
+            tables.insert_str(0, &measured.table());
+            (scores, scores_hash) = (Some(measured), hash);
+        }
+        if !self.plan.has("animate") {
+            return Ok(tables);
+        }
         let key = part(&["body", "net", "motion.fps", "animate", "evaluate.penetration_m"]);
         let (film, film_hash) =
             self.stage("animate", &key, &avatar_hash, |cx| stage::animate::run(cx, &subject, &avatar))?;
+        if !self.plan.has("export") {
+            return Ok(tables);
+        }
         let (exported, export_hash) =
             self.stage("export", &key, &film_hash, |cx| stage::export::run(cx, &subject, &avatar, &film))?;
-
+        if !self.plan.has("report") {
+            return Ok(tables);
+        }
         let timings = self.timings();
         let inputs = stage::report::Inputs {
             scans: &scans,
             subject: &subject,
             fabrics: &fabrics,
             nets: &nets,
-            scores: &scores,
+            scores: scores.as_ref(),
+            comparison: compared.as_ref(),
             film: &film,
             exported: &exported.files,
             timings: &timings,
         };
         // The list of exported files says nothing of what is in them, so that the report looks at the film, too.
-        let upstream = format!("{subject_hash}{hash}{scores_hash}{film_hash}{export_hash}{scan_hash}");
+        let scan_hash = stage::hash_scans(&scans)?;
+        let upstream = format!("{subject_hash}{hash}{scores_hash}{compared_hash}{film_hash}{export_hash}{scan_hash}");
         self.stage("report", &part(&["run", "upper", "lower"]), &upstream, |cx| stage::report::run(cx, &inputs))?;
-        Ok(Summary { folder: self.folder, ran: self.ran, table: scores.table() })
+        Ok(tables)
+    }
+
+    fn preprocess(&mut self, key: &[serde_json::Value], scans: &Scans) -> std::result::Result<(Subject, String), Halt> {
+        let hash = stage::hash_scans(scans)?;
+        self.stage("preprocess", key, &hash, |cx| stage::preprocess::run(cx, scans))
+    }
+
+    /// What the plan says once the subject is there.
+    fn describe(&mut self, subject: &Subject) -> Result<()> {
+        let progress = Progress::silent();
+        let context = self.context("plan", "", &progress);
+        let scene = Scene::new(&context, subject)?;
+        let motion = scene.windows(&context)?;
+        let mut plan = self.plan.clone();
+        plan.describe(&self.config, &scene, subject)?;
+        plan.motion = Some(motion);
+        self.plan = plan;
+        Ok(())
     }
 
     fn context<'a>(&'a self, stage: &'a str, key: &'a str, progress: &'a Progress) -> Context<'a> {
@@ -213,7 +344,7 @@ impl Run {
         key: &[serde_json::Value],
         upstream: &str,
         run: impl FnOnce(&Context<'_>) -> Result<T>,
-    ) -> Result<(T, String)> {
+    ) -> std::result::Result<(T, String), Halt> {
         let inputs = self.input_hashes(key)?;
         let library = |l: &PluginConfig| Ok(artifact::hash(&self.files.read(&l.path)?));
         let libraries = self.config.plugin.iter().map(library).collect::<Result<Vec<String>>>()?;
@@ -232,7 +363,11 @@ impl Run {
         if let Some((value, content)) = artifact::load::<T>(&path, name, &key)?
             && value.files().iter().all(|f| self.folder.join(f).exists())
         {
+            self.plan.done(name);
             return Ok((value, content));
+        }
+        if self.dry {
+            return Err(Halt::NotDone(name));
         }
         let progress = Progress::start(name);
         let value = run(&self.context(name, &key, &progress))?;

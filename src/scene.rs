@@ -2,6 +2,7 @@
 
 use crate::garment::FittedGarment;
 use crate::motion;
+use crate::plan::PlannedMotion;
 use crate::stage::Context;
 use crate::stage::preprocess::Subject;
 use crate::track::{BodyTrack, Reach};
@@ -38,11 +39,20 @@ impl Scene {
     /// Builds the body of a preprocessed subject.
     pub fn new(context: &Context<'_>, subject: &Subject) -> Result<Scene> {
         let body = context.config.body.body(context.files)?;
-        let mut parameters = body.rest(&subject.shape);
-        parameters.displacement = subject.displacement.clone();
+        Self::dressed(body, &subject.shape, &subject.displacement, &subject.garments)
+    }
+    /// A body of a shape with displacements [m] (none: empty) under garments.
+    pub fn dressed(
+        body: Box<dyn BodyModel>,
+        shape: &[f64],
+        displacement: &[Vec3],
+        garments: &[FittedGarment],
+    ) -> Result<Scene> {
+        let mut parameters = body.rest(shape);
+        parameters.displacement = displacement.to_vec();
         let posed = body.forward(&parameters)?;
         let rest = TriMesh { vertices: posed.vertices, faces: body.describe().faces.clone() };
-        let templates: Vec<&[Vec3]> = subject.garments.iter().map(|g| &g.mesh.vertices[..]).collect();
+        let templates: Vec<&[Vec3]> = garments.iter().map(|g| &g.mesh.vertices[..]).collect();
         let reach = Reach::new(&rest, &templates, REACH)?;
         Ok(Scene { body, subject: parameters, rest, rest_joints: posed.joints, reach })
     }
@@ -70,6 +80,12 @@ impl Scene {
         }
         let starts = windows.starts.iter().map(|start| first[start.clip] + start.frame).collect();
         Ok(MotionFrames { track: self.track(&poses)?, starts, has_before, fps: context.config.motion.fps })
+    }
+    /// How much motion there is to train on, without posing a body.
+    pub fn windows(&self, context: &Context<'_>) -> Result<PlannedMotion> {
+        let clips = motion::load_all(context.files, &context.config.motion, &self.rest_joints[0])?;
+        let windows = MotionWindows::new(&clips, context.config.train.window)?;
+        Ok(PlannedMotion { frames: clips.iter().map(|c| c.clip.poses.len()).sum(), windows: windows.starts.len() })
     }
     /// Body track of the scans that may be learned from.
     pub fn scan_track(&self, subject: &Subject) -> Result<Arc<BodyTrack>> {
@@ -118,6 +134,9 @@ pub fn scan_frames(
     }
     let scans = clouds.len();
     let visible: Vec<bool> = votes.iter().map(|&v| 2 * v > scans).collect();
+    if scans == 0 {
+        return Ok(ScanFrames { track, clouds, visible: vec![true; garment.mesh.vertices.len()] });
+    }
     if !visible.contains(&true) {
         return Err(Error::mesh(
             garment.kind.to_string(),

@@ -133,6 +133,17 @@ pub struct Pass {
     windows: usize,
 }
 
+/// What a garment's net is told: the joints that move it, not standardised yet.
+///
+/// # Errors
+/// As [`PoseFeatures::new`].
+pub fn pose_features(garment: &FittedGarment, body: &BodyDescription) -> Result<PoseFeatures> {
+    let joints = moving_joints(&body.joints, &garment.weights);
+    // The root's velocity drives inertia; static poses stand still, which is what a zero says.
+    let options = FeatureOptions { root_velocity: true, ..FeatureOptions::default() };
+    PoseFeatures::new(joints, options, GRAVITY)
+}
+
 /// Net, features and first parameters of a garment that was never trained.
 pub fn untrained(
     garment: &FittedGarment,
@@ -143,10 +154,7 @@ pub fn untrained(
     scans: &BodyTrack,
     seed: u64,
 ) -> Result<TrainedGarment> {
-    let joints = moving_joints(&body.joints, &garment.weights);
-    // The root's velocity drives inertia; static poses stand still, which is what a zero says.
-    let options = FeatureOptions { root_velocity: true, ..FeatureOptions::default() };
-    let mut features = PoseFeatures::new(joints, options, GRAVITY)?;
+    let mut features = pose_features(garment, body)?;
     let mut raw = Vec::new();
     for frame in 0..motion.track.len() {
         raw.push(features.raw(&motion.track.poses[frame], before(motion, frame), 1.0 / motion.fps)?);

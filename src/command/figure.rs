@@ -21,9 +21,9 @@ const PREVIEW: usize = 16;
 /// Which body wears what.
 #[derive(clap::Args)]
 pub(crate) struct Figure {
-    /// The body.
-    #[arg(long, default_value = "mannequin")]
-    pub(crate) body: String,
+    /// The body. [default: mannequin]
+    #[arg(long)]
+    pub(crate) body: Option<String>,
     #[command(flatten)]
     pub(crate) shape: Shape,
     /// A garment; may be given several times.
@@ -64,7 +64,7 @@ pub(crate) struct Files {
 
 impl Figure {
     pub(crate) fn body(&self, plugins: &Plugins) -> Result<Box<dyn BodyModel>> {
-        inputs::body(&self.body, plugins)
+        inputs::body(self.body.as_deref().unwrap_or("mannequin"), plugins)
     }
     /// Dresses the body for a clip.
     pub(crate) fn dress<'a>(

@@ -1,10 +1,16 @@
 //! `caphy run`
 
+use super::json;
 use caphy::plugins::Plugins;
 use caphy::runner::Run;
 use caphy_core::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
+
+pub(crate) const EXAMPLES: &str = "Examples:
+  caphy run configs/quickstart.toml
+  caphy run configs/walker.toml --plan
+  caphy run configs/walker.toml --only train";
 
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
@@ -13,18 +19,41 @@ pub(crate) struct Arguments {
     /// Folder of the results, instead of the file's `run.out`.
     #[arg(long)]
     out: Option<PathBuf>,
+    /// Run this stage and what it needs, nothing else.
+    #[arg(long, value_name = "STAGE")]
+    only: Option<String>,
+    /// Say what would be run, and what the scene needs of body, net and energies; run nothing.
+    #[arg(long)]
+    plan: bool,
+    /// With --plan: the plan as JSON.
+    #[arg(long, requires = "plan")]
+    json: bool,
 }
 
 pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCode> {
-    let run = Run::open_with(&arguments.config, arguments.out.clone(), plugins)?;
+    let mut run = Run::open_with(&arguments.config, arguments.out.clone(), plugins)?;
+    if let Some(stage) = &arguments.only {
+        run = run.only(stage)?;
+    }
+    if arguments.plan {
+        let plan = run.plan()?;
+        if arguments.json {
+            println!("{}", json(&plan)?);
+        } else {
+            print!("{}", plan.text());
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
     let started = std::time::Instant::now();
     let summary = run.all()?;
-    println!("{}", summary.table);
+    print!("{}", summary.table);
     if summary.ran.is_empty() {
         println!("Nothing to do: every stage was up to date.");
     } else {
         println!("Ran {} in {:.0} s.", summary.ran.join(", "), started.elapsed().as_secs_f64());
     }
-    println!("Report: {}", summary.folder.join("report.html").display());
+    if let Some(report) = &summary.report {
+        println!("Report: {}", report.display());
+    }
     Ok(ExitCode::SUCCESS)
 }

@@ -15,7 +15,8 @@ impl Config {
     pub fn check_files(&self, files: &ProjectFiles) -> Result<()> {
         let mut named: Vec<(&str, &Path)> = Vec::new();
         let clips = self.motion.clips.iter().map(|clip| ("motion.clips", clip));
-        for (key, clip) in clips.chain([("animate.clip", &self.animate.clip)]) {
+        let compared = self.compare.iter().map(|c| ("compare.clip", &c.clip));
+        for (key, clip) in clips.chain([("animate.clip", &self.animate.clip)]).chain(compared) {
             match clip {
                 ClipConfig::Procedural { .. } => {}
                 ClipConfig::Amass { path, .. } | ClipConfig::Tracked { path, .. } => named.push((key, path)),
@@ -80,13 +81,20 @@ impl Config {
         for (key, material) in self.materials() {
             material.material(key)?;
         }
-        for (name, garment) in [("upper", &self.upper), ("lower", &self.lower)] {
+        if self.garments().next().is_none() {
+            return Err(Error::config("upper", "there is no garment", "add [upper], [lower] or both"));
+        }
+        if self.segmenter.is_none() && !matches!(self.subject, SubjectConfig::Dressed(_)) {
+            let remedy = "add [segmenter]: scans must be labelled before anything is fitted to them";
+            return Err(Error::config("segmenter", "there is no such table", remedy));
+        }
+        for (_, name, garment) in self.garments() {
             count(&format!("{name}.styles"), garment.styles, 1, 100_000)?;
             resolution(&format!("{name}.resolution_m"), garment.resolution_m)?;
         }
-        for (key, clip) in
-            self.motion.clips.iter().map(|c| ("motion.clips", c)).chain([("animate.clip", &self.animate.clip)])
-        {
+        let played = [("animate.clip", &self.animate.clip)];
+        let compared = self.compare.iter().map(|c| ("compare.clip", &c.clip));
+        for (key, clip) in self.motion.clips.iter().map(|c| ("motion.clips", c)).chain(played).chain(compared) {
             match clip {
                 ClipConfig::Procedural { seconds, .. } => positive(&format!("{key}.seconds"), *seconds)?,
                 ClipConfig::Amass { .. } => {}
@@ -101,8 +109,16 @@ impl Config {
                 ClipConfig::Folder { amc_fps, .. } => positive(&format!("{key}.amc_fps"), *amc_fps)?,
             }
         }
-        if matches!(self.animate.clip, ClipConfig::Folder { .. }) {
-            return Err(Error::config("animate.clip", "is a folder", "name one clip"));
+        let compared = self.compare.iter().map(|c| ("compare.clip", &c.clip));
+        for (key, clip) in [("animate.clip", &self.animate.clip)].into_iter().chain(compared) {
+            if matches!(clip, ClipConfig::Folder { .. }) {
+                return Err(Error::config(key, "is a folder", "name one clip"));
+            }
+        }
+        if let Some(compare) = &self.compare {
+            positive("compare.seconds", compare.seconds)?;
+            count("compare.rest_every", compare.rest_every, 1, usize::MAX)?;
+            positive("compare.solver.tolerance_n", compare.solver.tolerance_n)?;
         }
         self.motion.limits.check().map_err(|e| match e {
             Error::Config { key, problem, remedy } => Error::config(format!("motion.limits.{key}"), problem, remedy),

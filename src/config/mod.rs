@@ -16,6 +16,8 @@ use caphy_formats::motion::UpAxis;
 use caphy_garment::energy::{ContactOptions, LayeringOptions};
 use caphy_garment::estimate::ForceBalanceSettings;
 use caphy_garment::skinning::WeightOptions;
+use caphy_garment::solver::SolverSettings;
+use caphy_garment::template::GarmentKind;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -32,18 +34,21 @@ pub struct Config {
     pub plugin: Vec<PluginConfig>,
     /// The naked body: `type = "mannequin" | "smplx"`.
     pub body: PluginTable,
-    /// Labels for rendered views: `type = "vertex" | "colour"`.
-    pub segmenter: PluginTable,
+    /// Labels for rendered views: `type = "vertex" | "colour"`. Scans need it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub segmenter: Option<PluginTable>,
     /// Views for label fusion.
     #[serde(default)]
     pub views: ViewsConfig,
     /// Fitting the body under the clothes.
     #[serde(default)]
     pub registration: RegistrationSettings,
-    /// The garment on the torso.
-    pub upper: GarmentConfig,
-    /// The garment on the legs.
-    pub lower: GarmentConfig,
+    /// The garment on the torso; none when it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub upper: Option<GarmentConfig>,
+    /// The garment on the legs; none when it is left out. One of both there must be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lower: Option<GarmentConfig>,
     /// The deformation net: `type = "gru" | "mlp"`.
     pub net: PluginTable,
     /// Motion to train on.
@@ -60,6 +65,9 @@ pub struct Config {
     /// What is measured at the end.
     #[serde(default)]
     pub evaluate: EvaluateConfig,
+    /// Comparison of trained nets with the reference solver; none when it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compare: Option<CompareConfig>,
     /// What the avatar plays at the end.
     pub animate: AnimateConfig,
 }
@@ -95,6 +103,17 @@ pub enum SubjectConfig {
     Synthetic(SyntheticConfig),
     /// A folder of PLY or OBJ scans in metres, y up.
     Scans(ScansConfig),
+    /// Nobody's scans: a body of a given shape in given garments, whose nets learn from physics alone.
+    Dressed(DressedConfig),
+}
+
+/// `[subject] type = "dressed"`
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DressedConfig {
+    /// Shape coefficients of the body; those left out are 0. Default none.
+    #[serde(default)]
+    pub shape: Vec<f64>,
 }
 
 /// `[subject] type = "synthetic"`
@@ -173,6 +192,10 @@ pub struct GarmentConfig {
     /// How the garment takes its skinning weights from the body.
     #[serde(default)]
     pub weights: WeightOptions,
+    /// The style of a dressed subject's garment: values of the style space, or coefficients of a linear one. Default: the
+    /// middle of the space, a linear space's mean, the only garment of a file. With scans, the style is found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub style: Option<Vec<f64>>,
 }
 
 fn parametric() -> PluginTable {
@@ -456,6 +479,33 @@ impl Default for EvaluateConfig {
     }
 }
 
+/// `[compare]`: trained nets against the reference solver on the same garments and motion.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CompareConfig {
+    /// The motion, not one that was trained on.
+    pub clip: ClipConfig,
+    /// Most seconds of it that are simulated. Default 2: a minute or two per garment.
+    #[serde(default = "two_seconds")]
+    pub seconds: f64,
+    /// Every n-th frame is also brought to rest, without inertia. Default 10.
+    #[serde(default = "every_tenth")]
+    pub rest_every: usize,
+    /// The solver's settings. Default: forces down to 1e-5 N, a hundredth of a vertex's weight.
+    #[serde(default = "comparing")]
+    pub solver: SolverSettings,
+}
+
+fn two_seconds() -> f64 {
+    2.0
+}
+fn every_tenth() -> usize {
+    10
+}
+fn comparing() -> SolverSettings {
+    SolverSettings { tolerance_n: 1e-5, ..SolverSettings::default() }
+}
+
 /// `[animate]`
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -530,17 +580,37 @@ impl Config {
         Self::parse_with(path, &text, plugins)
     }
 
+    /// The garments that are modelled, upper first, with the names of their tables.
+    pub fn garments(&self) -> impl Iterator<Item = (GarmentKind, &'static str, &GarmentConfig)> {
+        [(GarmentKind::Upper, "upper", &self.upper), (GarmentKind::Lower, "lower", &self.lower)]
+            .into_iter()
+            .filter_map(|(kind, key, garment)| Some((kind, key, garment.as_ref()?)))
+    }
+
+    /// The table of a garment.
+    ///
+    /// # Errors
+    /// [`Error::Config`] where the experiment has none.
+    pub fn garment(&self, kind: GarmentKind) -> Result<&GarmentConfig> {
+        let found = self.garments().find(|g| g.0 == kind);
+        found.map(|g| g.2).ok_or_else(|| {
+            Error::config(kind.to_string(), "there is no such table", "add it, with the garment's `material`")
+        })
+    }
+
     /// Tables that choose a plugin.
     fn tables_mut(&mut self) -> Vec<(Kind, &'static str, &mut PluginTable)> {
-        let mut all = vec![
-            (Kind::Body, "body", &mut self.body),
-            (Kind::Segmenter, "segmenter", &mut self.segmenter),
-            (Kind::Net, "net", &mut self.net),
-            (Kind::Material, "upper.material", &mut self.upper.material),
-            (Kind::Material, "lower.material", &mut self.lower.material),
-            (Kind::Template, "upper.template", &mut self.upper.template),
-            (Kind::Template, "lower.template", &mut self.lower.template),
-        ];
+        let mut all = vec![(Kind::Body, "body", &mut self.body)];
+        all.extend(self.segmenter.as_mut().map(|table| (Kind::Segmenter, "segmenter", table)));
+        all.push((Kind::Net, "net", &mut self.net));
+        for (keys, garment) in [
+            (["upper.material", "upper.template"], &mut self.upper),
+            (["lower.material", "lower.template"], &mut self.lower),
+        ] {
+            let Some(garment) = garment else { continue };
+            all.push((Kind::Material, keys[0], &mut garment.material));
+            all.push((Kind::Template, keys[1], &mut garment.template));
+        }
         if let SubjectConfig::Synthetic(s) = &mut self.subject {
             all.push((Kind::Material, "subject.upper_material", &mut s.upper_material));
             all.push((Kind::Material, "subject.lower_material", &mut s.lower_material));
@@ -550,7 +620,10 @@ impl Config {
 
     /// All materials with their keys.
     fn materials(&self) -> Vec<(&'static str, &PluginTable)> {
-        let mut all = vec![("upper.material", &self.upper.material), ("lower.material", &self.lower.material)];
+        let mut all = Vec::new();
+        for (key, garment) in [("upper.material", &self.upper), ("lower.material", &self.lower)] {
+            all.extend(garment.as_ref().map(|g| (key, &g.material)));
+        }
         if let SubjectConfig::Synthetic(s) = &self.subject {
             all.push(("subject.upper_material", &s.upper_material));
             all.push(("subject.lower_material", &s.lower_material));

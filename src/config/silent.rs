@@ -1,6 +1,7 @@
 //! Settings that another setting switches off: a value that somebody chose and that changes nothing is refused.
 
-use super::{Config, FinetuneConfig, GarmentConfig, OptimiseConfig, SubjectConfig, TrainConfig};
+use super::{Config, FinetuneConfig, GarmentConfig, OptimiseConfig, SubjectConfig, TrainConfig, ViewsConfig, thirty};
+use caphy_bodymodel::registration::RegistrationSettings;
 use caphy_core::{Error, Result};
 use serde::Serialize;
 
@@ -19,8 +20,28 @@ struct Rule {
 /// # Errors
 /// [`Error::Config`] naming the key and the setting that switches it off.
 pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
-    let no_finetuning = config.finetune.epochs == 0;
+    let one_garment = config.garments().count() < 2;
+    let no_finetuning = config.finetune.epochs == 0 || one_garment;
+    let dressed = matches!(config.subject, SubjectConfig::Dressed(_));
     let rules = [
+        Rule { holds: one_garment, because: "there is one garment", silent: &["finetune", "train.weights.layering"] },
+        Rule {
+            holds: dressed,
+            because: "subject.type = \"dressed\", which has no scans",
+            silent: &[
+                "segmenter",
+                "views",
+                "registration",
+                "evaluate.ground_truth",
+                "optimise",
+                "train.scan_epochs",
+                "train.scan_points",
+                "train.weights.scan",
+                "upper.styles",
+                "lower.styles",
+            ],
+        },
+        Rule { holds: !dressed, because: "styles are found from the scans", silent: &["upper.style", "lower.style"] },
         Rule {
             holds: no_finetuning,
             because: "finetune.epochs = 0",
@@ -44,12 +65,12 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
         // A transition counts once its velocity is known, from the third frame on.
         Rule { holds: config.train.window < 3, because: "train.window < 3", silent: &["train.weights.inertia"] },
         Rule {
-            holds: is_collection(&config.upper),
+            holds: is_collection(config.upper.as_ref()),
             because: "upper.template names garments that are all tried",
             silent: &["upper.styles"],
         },
         Rule {
-            holds: is_collection(&config.lower),
+            holds: is_collection(config.lower.as_ref()),
             because: "lower.template names garments that are all tried",
             silent: &["lower.styles"],
         },
@@ -75,8 +96,8 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
 }
 
 /// Whether a garment's templates are files rather than samples of a space.
-fn is_collection(garment: &GarmentConfig) -> bool {
-    let source = garment.template.table().get("type").and_then(|t| t.as_str());
+fn is_collection(garment: Option<&GarmentConfig>) -> bool {
+    let source = garment.and_then(|g| g.template.table().get("type")).and_then(|t| t.as_str());
     matches!(source, Some("mesh" | "folder"))
 }
 
@@ -94,14 +115,22 @@ fn default_of(path: &str) -> Option<toml::Value> {
     fn table(value: impl Serialize) -> Option<toml::Table> {
         toml::Table::try_from(value).ok()
     }
-    let (section, rest) = path.split_once('.')?;
+    let (section, rest) = path.split_once('.').map_or((path, None), |(section, rest)| (section, Some(rest)));
     let section = match section {
         "train" => table(TrainConfig::default()),
         "optimise" => table(OptimiseConfig::default()),
         "finetune" => table(FinetuneConfig::default()),
+        "views" => table(ViewsConfig::default()),
+        "registration" => table(RegistrationSettings::default()),
+        "upper" | "lower" => {
+            Some(toml::Table::from_iter([("styles".to_string(), toml::Value::Integer(thirty() as i64))]))
+        }
         _ => None,
     }?;
-    find(&section, rest).cloned()
+    match rest {
+        None => Some(toml::Value::Table(section)),
+        Some(rest) => find(&section, rest).cloned(),
+    }
 }
 
 /// Whether a chosen value changes anything of a default; tables may leave keys out, integers may stand for floats.

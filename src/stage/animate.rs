@@ -3,13 +3,17 @@
 use super::preprocess::Subject;
 use super::train::Nets;
 use super::{Context, StageOutput};
+use crate::garment::{FittedGarment, TrainedGarment};
 use crate::inference::{Play, clearance, contacts, play, push_layers, push_out};
 use crate::motion;
+use crate::moving::{MovingFigure, MovingGarment, picture};
 use crate::pictures;
+use crate::plugins::PluginTable;
 use crate::scene::Scene;
+use caphy_core::body::BodyModel;
 use caphy_core::motion::MotionClip;
 use caphy_core::{Result, TriMesh, Vec3};
-use caphy_garment::energy::LayeringOrder;
+use caphy_garment::energy::{LayeringOptions, LayeringOrder};
 use caphy_garment::template::GarmentKind;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -56,74 +60,61 @@ const STRIP: usize = 24;
 /// Pictures on the contact sheet.
 const SHEET: usize = 8;
 
-/// Plays `[animate] clip`.
-pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Film> {
-    let scene = Scene::new(context, subject)?;
-    let config = &context.config.animate;
-    let fps = avatar.garments.first().map_or(context.config.motion.fps, |g| g.fps);
-    // Whatever a clip holds is played.
-    let mut clip = motion::load(context.files, &config.clip, None, fps, &scene.rest_joints[0])?.clip;
-    clip.poses.truncate((config.seconds * fps).ceil() as usize + 1);
+/// How residual penetrations are treated, and what counts as one.
+#[derive(Debug, Clone, Copy)]
+pub struct PushOut {
+    /// Distance to which vertices are moved out of the body and of the garment below [m]; 0 leaves them.
+    pub gap: f64,
+    /// A vertex deeper than this inside the body counts as penetrating [m].
+    pub limit: f64,
+    /// Which garment is outside.
+    pub layering: LayeringOptions,
+}
+
+/// Plays a clip with carried state; `progress` hears the share done.
+///
+/// # Errors
+/// What a net or the body refuses; values that are not finite.
+pub fn perform(
+    scene: &Scene,
+    garments: &[FittedGarment],
+    nets: &[TrainedGarment],
+    spec: &PluginTable,
+    clip: MotionClip,
+    push: &PushOut,
+    progress: &dyn Fn(f64),
+) -> Result<Film> {
     let track = scene.track(&clip.poses)?;
     let mut played = Vec::new();
-    for (fitted, trained) in subject.garments.iter().zip(&avatar.garments) {
-        played.push(play(fitted, trained, &context.config.net, &track, Play::Clip)?);
+    for (fitted, trained) in garments.iter().zip(nets) {
+        played.push(play(fitted, trained, spec, &track, Play::Clip)?);
     }
-    let maps = subject.garments.iter().map(|g| scene.contact(g)).collect::<Result<Vec<_>>>()?;
+    let maps = garments.iter().map(|g| scene.contact(g)).collect::<Result<Vec<_>>>()?;
     let mut depth = vec![(0usize, 0.0f64); played.len()];
-    let limit = context.config.evaluate.penetration_m;
-    let mut bodies = Vec::new();
     for frame in 0..clip.poses.len() {
-        context.progress.set(0.7 * frame as f64 / clip.poses.len() as f64, "frames");
-        let posed = scene.body.forward(&scene.subject.posed(&clip.poses[frame]))?;
+        progress(frame as f64 / clip.poses.len() as f64);
         for ((frames, depth), map) in played.iter_mut().zip(&mut depth).zip(&maps) {
             let touching = contacts(map, &track, frame, &frames[frame])?;
             for d in clearance(&frames[frame], &touching) {
-                depth.0 += usize::from(d < -limit);
+                depth.0 += usize::from(d < -push.limit);
                 depth.1 = depth.1.min(d);
             }
-            if config.push_out_m > 0.0 {
-                push_out(&mut frames[frame], &touching, config.push_out_m);
+            if push.gap > 0.0 {
+                push_out(&mut frames[frame], &touching, push.gap);
             }
         }
-        bodies.push(posed.vertices);
-        if config.push_out_m > 0.0
+        if push.gap > 0.0
             && let [upper, lower] = &mut played[..]
         {
-            let layering = &context.config.finetune.layering;
-            let (outer, inner, worn) = match layering.order {
+            let (outer, inner, worn) = match push.layering.order {
                 LayeringOrder::Over => (upper, lower, 1),
                 LayeringOrder::Tucked => (lower, upper, 0),
             };
-            let under = TriMesh { vertices: inner[frame].clone(), faces: subject.garments[worn].mesh.faces.clone() };
-            push_layers(&mut outer[frame], &under, config.push_out_m, layering.reach);
+            let under = TriMesh { vertices: inner[frame].clone(), faces: garments[worn].mesh.faces.clone() };
+            push_layers(&mut outer[frame], &under, push.gap, push.layering.reach);
         }
     }
-    let picture = |frame: usize, from: &Vec3| {
-        let body = TriMesh { vertices: bodies[frame].clone(), faces: scene.rest.faces.clone() };
-        let garments = subject
-            .garments
-            .iter()
-            .zip(&played)
-            .map(|(g, frames)| TriMesh { vertices: frames[frame].clone(), faces: g.mesh.faces.clone() })
-            .collect();
-        pictures::dressed(&pictures::Dressed { body: &body, garments }, from)
-    };
-    let last = clip.poses.len() - 1;
-    let spread = |count: usize| (0..count).map(move |i| i * last / (count - 1).max(1));
-    let sheet: Vec<_> = spread(SHEET)
-        .enumerate()
-        .map(|(i, frame)| {
-            let label = format!("{:.1} s", frame as f64 / fps);
-            (label, picture(frame, if i % 2 == 0 { &pictures::FRONT } else { &pictures::BACK }))
-        })
-        .collect();
-    context.write("pictures/animation.png", &pictures::sheet(&sheet, SHEET)?)?;
-    context.progress.set(0.85, "pictures");
-    let strip: Vec<_> = spread(STRIP).map(|frame| (String::new(), picture(frame, &pictures::FRONT))).collect();
-    context.write("pictures/strip.png", &pictures::sheet(&strip, STRIP)?)?;
-    let garments = subject
-        .garments
+    let garments = garments
         .iter()
         .zip(played)
         .zip(depth)
@@ -134,10 +125,79 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Fi
             frames: frames.iter().map(|f| f.iter().map(|p| [p.x as f32, p.y as f32, p.z as f32]).collect()).collect(),
         })
         .collect();
-    Ok(Film { clip, garments, pictures: vec!["pictures/animation.png".into(), "pictures/strip.png".into()] })
+    Ok(Film { clip, garments, pictures: Vec::new() })
+}
+
+/// Plays `[animate] clip`.
+pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Film> {
+    let scene = Scene::new(context, subject)?;
+    let config = &context.config.animate;
+    let fps = avatar.garments.first().map_or(context.config.motion.fps, |g| g.fps);
+    // Whatever a clip holds is played.
+    let mut clip = motion::load(context.files, &config.clip, None, fps, &scene.rest_joints[0])?.clip;
+    clip.poses.truncate((config.seconds * fps).ceil() as usize + 1);
+    let push = PushOut {
+        gap: config.push_out_m,
+        limit: context.config.evaluate.penetration_m,
+        layering: context.config.finetune.layering,
+    };
+    let say = |s: f64| context.progress.set(0.7 * s, "frames");
+    let mut film = perform(&scene, &subject.garments, &avatar.garments, &context.config.net, clip, &push, &say)?;
+    let figure = Played { scene: &scene, garments: &subject.garments, film: &film };
+    let last = film.clip.poses.len() - 1;
+    let spread = |count: usize| (0..count).map(move |i| i * last / (count - 1).max(1));
+    let sheet: Vec<_> = spread(SHEET)
+        .enumerate()
+        .map(|(i, frame)| {
+            let label = format!("{:.1} s", frame as f64 / fps);
+            Ok((label, picture(&figure, frame, if i % 2 == 0 { &pictures::FRONT } else { &pictures::BACK })?))
+        })
+        .collect::<Result<_>>()?;
+    context.write("pictures/animation.png", &pictures::sheet(&sheet, SHEET)?)?;
+    context.progress.set(0.85, "pictures");
+    let strip: Vec<_> = spread(STRIP)
+        .map(|frame| Ok((String::new(), picture(&figure, frame, &pictures::FRONT)?)))
+        .collect::<Result<_>>()?;
+    context.write("pictures/strip.png", &pictures::sheet(&strip, STRIP)?)?;
+    film.pictures = vec!["pictures/animation.png".into(), "pictures/strip.png".into()];
+    Ok(film)
 }
 
 /// Number of frames in the strip.
 pub fn strip_frames() -> usize {
     STRIP
+}
+
+/// The avatar as it was played.
+pub struct Played<'a> {
+    /// The body.
+    pub scene: &'a Scene,
+    /// Its garments.
+    pub garments: &'a [FittedGarment],
+    /// Their frames.
+    pub film: &'a Film,
+}
+
+impl MovingFigure for Played<'_> {
+    fn body(&self) -> &dyn BodyModel {
+        &*self.scene.body
+    }
+    fn rest(&self) -> &TriMesh {
+        &self.scene.rest
+    }
+    fn rest_joints(&self) -> Result<Vec<Vec3>> {
+        Ok(self.scene.rest_joints.clone())
+    }
+    fn clip(&self) -> &MotionClip {
+        &self.film.clip
+    }
+    fn body_frame(&self, frame: usize) -> Result<Vec<Vec3>> {
+        Ok(self.scene.body.forward(&self.scene.subject.posed(&self.film.clip.poses[frame]))?.vertices)
+    }
+    fn garments(&self) -> Vec<MovingGarment<'_>> {
+        self.garments.iter().map(|g| MovingGarment { kind: g.kind, mesh: &g.mesh }).collect()
+    }
+    fn garment_frame(&self, garment: usize, frame: usize) -> Result<Vec<Vec3>> {
+        Ok(self.film.garments[garment].vertices(frame))
+    }
 }

@@ -177,7 +177,7 @@ pub fn run(
     for (fitted, trained) in subject.garments.iter().zip(&avatar.garments) {
         let shapes = play(fitted, trained, &context.config.net, &track, Play::Poses)?;
         let visible = scan_frames(context, subject, fitted, training.clone())?.visible;
-        let table = subject.material_table(context.config, fitted.kind);
+        let table = &context.config.garment(fitted.kind)?.material;
         let model = Arc::from(material(table, config_key(fitted.kind), trained.material.as_deref())?);
         let rest = fitted.rest(&*model)?;
         let train = &context.config.train;
@@ -208,7 +208,7 @@ pub fn run(
     }
     let pictures = draw(context, subject, &scene, scans, &worn)?;
     let layering = layering(context, subject, &scene, nets, avatar)?;
-    Ok(Scores { scans: rows, layering, fabrics: fabric_scores(context, subject, fabrics, scans)?, pictures })
+    Ok(Scores { scans: rows, layering, fabrics: fabric_scores(context, fabrics, scans)?, pictures })
 }
 
 /// Scans that are shown beside the avatar.
@@ -367,18 +367,13 @@ fn layering(
 
 /// Median ratio to the truth per group of parameters, at the start and after the last estimate, where the truth is of the
 /// same model.
-fn fabric_scores(
-    context: &Context<'_>,
-    subject: &Subject,
-    fabrics: &[Estimates],
-    scans: &Scans,
-) -> Result<Vec<FabricScore>> {
+fn fabric_scores(context: &Context<'_>, fabrics: &[Estimates], scans: &Scans) -> Result<Vec<FabricScore>> {
     let (Some(truth), Some(first), Some(last)) = (&scans.truth, fabrics.first(), fabrics.last()) else {
         return Ok(Vec::new());
     };
     let mut out = Vec::new();
     for ((before, after), truth) in first.garments.iter().zip(&last.garments).zip(&truth.garments) {
-        let table = subject.material_table(context.config, before.kind);
+        let table = &context.config.garment(before.kind)?.material;
         let model = material(table, config_key(before.kind), None)?;
         if truth.parameters.len() != before.before.len() || truth.kind != before.kind {
             continue;

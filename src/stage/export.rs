@@ -1,14 +1,13 @@
 //! Files for other programs: GLB with the moving avatar, OBJ of every n-th frame, the nets as safetensors.
 
-use super::animate::Film;
+use super::animate::{Film, Played};
 use super::preprocess::Subject;
 use super::train::Nets;
 use super::{Context, StageOutput};
-use crate::moving::{self, MovingFigure, MovingFormat, MovingGarment};
+use crate::avatar::Avatar;
+use crate::moving::{self, MovingFigure, MovingFormat};
 use crate::scene::Scene;
-use caphy_core::body::BodyModel;
-use caphy_core::motion::MotionClip;
-use caphy_core::{Result, TriMesh, Vec3};
+use caphy_core::{Result, TriMesh};
 use caphy_formats::obj::write_obj;
 use caphy_formats::weights::write_safetensors;
 use serde::{Deserialize, Serialize};
@@ -30,7 +29,7 @@ impl StageOutput for Exported {
 /// Writes `export/`.
 pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets, film: &Film) -> Result<Exported> {
     let scene = Scene::new(context, subject)?;
-    let figure = Played { scene: &scene, subject, film };
+    let figure = Played { scene: &scene, garments: &subject.garments, film };
     let mut files: Vec<PathBuf> = Vec::new();
     let put = |files: &mut Vec<PathBuf>, name: String, bytes: Vec<u8>| -> Result<()> {
         context.write(&name, &bytes)?;
@@ -51,6 +50,8 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets, film: &Film)
         let relative = path.strip_prefix(context.folder).unwrap_or(&path);
         files.push(relative.into());
     }
+    Avatar::new(context, subject, avatar)?.save(&context.folder.join("export/avatar.caphy"))?;
+    files.push("export/avatar.caphy".into());
     for trained in &avatar.garments {
         let tensors: Vec<(&str, &[usize], &[f32])> = trained
             .manifest
@@ -67,35 +68,4 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets, film: &Film)
         put(&mut files, format!("export/{}.safetensors", trained.kind), bytes)?;
     }
     Ok(Exported { files })
-}
-
-/// The avatar as it was played.
-struct Played<'a> {
-    scene: &'a Scene,
-    subject: &'a Subject,
-    film: &'a Film,
-}
-
-impl MovingFigure for Played<'_> {
-    fn body(&self) -> &dyn BodyModel {
-        &*self.scene.body
-    }
-    fn rest(&self) -> &TriMesh {
-        &self.scene.rest
-    }
-    fn rest_joints(&self) -> Result<Vec<Vec3>> {
-        Ok(self.scene.rest_joints.clone())
-    }
-    fn clip(&self) -> &MotionClip {
-        &self.film.clip
-    }
-    fn body_frame(&self, frame: usize) -> Result<Vec<Vec3>> {
-        Ok(self.scene.body.forward(&self.scene.subject.posed(&self.film.clip.poses[frame]))?.vertices)
-    }
-    fn garments(&self) -> Vec<MovingGarment<'_>> {
-        self.subject.garments.iter().map(|g| MovingGarment { kind: g.kind, mesh: &g.mesh }).collect()
-    }
-    fn garment_frame(&self, garment: usize, frame: usize) -> Result<Vec<Vec3>> {
-        Ok(self.film.garments[garment].vertices(frame))
-    }
 }

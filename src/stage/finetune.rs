@@ -33,7 +33,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets) -> Result<Nets
         subject.garments.iter().map(|g| scan_frames(context, subject, g, track.clone())).collect::<Result<Vec<_>>>()?;
     let mut learners = Vec::new();
     for ((fitted, trained), scans) in subject.garments.iter().zip(&nets.garments).zip(&scans) {
-        let table = subject.material_table(context.config, fitted.kind);
+        let table = &context.config.garment(fitted.kind)?.material;
         let model = Arc::from(material(table, config_key(fitted.kind), trained.material.as_deref())?);
         let (net, contact) = (&context.config.net, scene.contact(fitted)?);
         learners.push(GarmentLearner::new(fitted, trained, model, net, config, &motion, scans, contact)?);

@@ -3,11 +3,14 @@
 //! Every stage is a function `run(&Context, inputs) -> Result<Output>`; its output is one artifact on disk.
 
 pub mod animate;
+pub mod compare;
+pub mod dress;
 pub mod evaluate;
 pub mod export;
 pub mod finetune;
 pub mod optimise;
 pub mod preprocess;
+pub mod reference;
 pub mod report;
 pub mod synth;
 pub mod train;

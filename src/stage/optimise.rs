@@ -58,7 +58,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets) -> Result<Esti
         }
         let (body, normals) = track.gather::<f64>(&frames, lanes);
         let nearest = scene.contact(fitted)?.nearest(&positions, &body)?;
-        let table = subject.material_table(context.config, fitted.kind);
+        let table = &context.config.garment(fitted.kind)?.material;
         let start = material(table, config_key(fitted.kind), trained.material.as_deref())?;
         let start: Arc<dyn MaterialModel> = Arc::from(start);
         let rest = fitted.rest(&*start)?;

@@ -1,11 +1,10 @@
 //! From scans to labels, a naked body under the clothes, and garment templates (Sec. 3.1).
 
 use super::{Context, ScanFile, Scans, StageOutput, read_scan};
-use crate::config::{Config, GarmentConfig};
+use crate::config::GarmentConfig;
 use crate::fixed_shape::FixedShape;
 use crate::garment::FittedGarment;
 use crate::pictures;
-use crate::plugins::PluginTable;
 use crate::scene::{label_of, thin};
 use caphy_bodymodel::registration::{RegistrationScan, ScanFit, register};
 use caphy_core::body::{BodyModel, BodyParameters, PosedBody};
@@ -88,17 +87,6 @@ impl Subject {
     pub fn training_scans(&self) -> impl Iterator<Item = &SubjectScan> {
         self.scans.iter().filter(|s| !s.held_out)
     }
-    /// The configured fabric of a garment.
-    pub fn material_table<'c>(&self, config: &'c Config, kind: GarmentKind) -> &'c PluginTable {
-        &garment_config(config, kind).material
-    }
-}
-
-fn garment_config(config: &Config, kind: GarmentKind) -> &GarmentConfig {
-    match kind {
-        GarmentKind::Upper => &config.upper,
-        GarmentKind::Lower => &config.lower,
-    }
 }
 
 /// Edge length of the templates that styles are compared with [m]: style does not show in detail.
@@ -113,7 +101,11 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     let config = context.config;
     let progress = context.progress;
     let body = config.body.body(context.files)?;
-    let segmenter = config.segmenter.segmenter(context.files)?;
+    let table = config
+        .segmenter
+        .as_ref()
+        .ok_or_else(|| Error::config("segmenter", "there is no such table", "add [segmenter]"))?;
+    let segmenter = table.segmenter(context.files)?;
     let count = scans.list.len() as f64;
 
     let settings = FusionSettings { views: config.views.count, size: config.views.size, ..FusionSettings::default() };
@@ -183,10 +175,10 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     let rest = BodyRest::from_model(&*body, &subject_body)?;
     let rest_vertices = rest.mesh.vertices.clone();
     let tailor = Tailor::new(rest)?;
-    for (k, kind) in [GarmentKind::Upper, GarmentKind::Lower].into_iter().enumerate() {
+    for (k, (kind, _, settings)) in config.garments().enumerate() {
         progress.set(0.8 + 0.07 * k as f64, &format!("{kind} template"));
-        let (template, choice) = choose(context, &*body, &subject_body, &subject, &tailor, kind)?;
-        let options = &garment_config(context.config, kind).weights;
+        let (template, choice) = choose(context, &*body, &subject_body, &subject, &tailor, (kind, settings))?;
+        let options = &settings.weights;
         let weights = &body.describe().weights;
         subject.choices.push(choice);
         subject.garments.push(FittedGarment::new(template, &rest_vertices, weights, options)?);
@@ -217,9 +209,8 @@ fn choose(
     subject_body: &BodyParameters,
     subject: &Subject,
     tailor: &Tailor,
-    kind: GarmentKind,
+    (kind, settings): (GarmentKind, &GarmentConfig),
 ) -> Result<(Template, TemplateChoice)> {
-    let settings = garment_config(context.config, kind);
     let joints = &body.describe().joints;
     let standard = subject
         .training_scans()

@@ -1,6 +1,7 @@
 //! `report.html`: one self-contained page with pictures of every stage, curves, and the tables.
 
 use super::animate::{Film, strip_frames};
+use super::compare::Comparison;
 use super::evaluate::Scores;
 use super::optimise::{Estimates, GarmentFabric};
 use super::preprocess::Subject;
@@ -25,8 +26,10 @@ pub struct Inputs<'a> {
     pub fabrics: &'a [Estimates],
     /// Nets before fine-tuning, with the record of training.
     pub nets: &'a Nets,
-    /// Measurements.
-    pub scores: &'a Scores,
+    /// Measurements against scans, where there are scans.
+    pub scores: Option<&'a Scores>,
+    /// Measurements against the reference solver, where they were asked for.
+    pub comparison: Option<&'a Comparison>,
     /// The played clip.
     pub film: &'a Film,
     /// Exported files.
@@ -69,16 +72,20 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
     };
     let strip = embedded(context, "pictures/strip.png")?;
     film(&mut html, &strip, inputs.film);
-    picture(
-        &mut html,
-        "Scans, labels, bodies",
-        "pictures/scans.png",
-        "Each scan with its label per vertex, the body found under the clothes, and that body (red) over the scan: red \
-         should show on skin only.",
-    )?;
-    fits(&mut html, inputs);
+    if !inputs.subject.scans.is_empty() {
+        picture(
+            &mut html,
+            "Scans, labels, bodies",
+            "pictures/scans.png",
+            "Each scan with its label per vertex, the body found under the clothes, and that body (red) over the scan: red \
+             should show on skin only.",
+        )?;
+        fits(&mut html, inputs);
+    }
     picture(&mut html, "Garment templates", "pictures/templates.png", "The chosen styles on the T-posed body.")?;
-    choices(&mut html, inputs);
+    if !inputs.subject.choices.is_empty() {
+        choices(&mut html, inputs);
+    }
     curves(&mut html, inputs);
     fabrics(&mut html, context, inputs)?;
     picture(
@@ -87,13 +94,23 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
         "pictures/animation.png",
         "Frames of the played clip, from the front and from behind.",
     )?;
-    picture(
-        &mut html,
-        "Measurements",
-        "pictures/evaluation.png",
-        "Scans and the fine-tuned avatar in their poses, held-out scans first; nothing was pushed out here.",
-    )?;
-    let _ = write!(html, "<pre>{}</pre>", escape(&inputs.scores.table()));
+    if let Some(scores) = inputs.scores {
+        picture(
+            &mut html,
+            "Measurements",
+            "pictures/evaluation.png",
+            "Scans and the fine-tuned avatar in their poses, held-out scans first; nothing was pushed out here.",
+        )?;
+        let _ = write!(html, "<pre>{}</pre>", escape(&scores.table()));
+    }
+    if let Some(comparison) = inputs.comparison {
+        for name in &comparison.pictures {
+            let text = "The same frames, from the left: skinned template, trained net, reference solver.";
+            picture(&mut html, "Against the reference solver", &name.display().to_string(), text)?;
+        }
+        html.push_str(&comparison.plots());
+        let _ = write!(html, "<pre>{}</pre>", escape(&comparison.table()));
+    }
     let files: Vec<String> = inputs.exported.iter().take(12).map(|f| escape(&f.display().to_string())).collect();
     let _ = write!(
         html,
@@ -249,11 +266,11 @@ fn curves(html: &mut String, inputs: &Inputs<'_>) {
 const STRETCHES: usize = 33;
 
 /// Tension [N/m] over stretch along the yarn axes without lateral strain, before and after Eq. 10.
-fn tension(context: &Context<'_>, subject: &Subject, garment: &GarmentFabric) -> Result<String> {
+fn tension(context: &Context<'_>, garment: &GarmentFabric) -> Result<String> {
     let strains: Vec<f64> = (0..STRETCHES).map(|i| 0.2 * i as f64 / (STRETCHES - 1) as f64).collect();
     let mut curves = Vec::new();
     for (when, values) in [("before", &garment.before), ("after", &garment.estimate.parameters)] {
-        let table = subject.material_table(context.config, garment.kind);
+        let table = &context.config.garment(garment.kind)?.material;
         let model = material(table, config_key(garment.kind), Some(values))?;
         for (axis, name) in ["u", "v"].iter().enumerate() {
             let mut green = vec![0.0; 3 * STRETCHES];
@@ -309,7 +326,7 @@ fn fabrics(html: &mut String, context: &Context<'_>, inputs: &Inputs<'_>) -> Res
                 ]
             });
             table(html, &["group", "multiplier", "determined by the shapes", ""], rows);
-            html.push_str(&tension(context, inputs.subject, garment)?);
+            html.push_str(&tension(context, garment)?);
         }
     }
     Ok(())

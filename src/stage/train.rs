@@ -102,7 +102,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, start: &Start) -> Result<Ne
                 seed,
             )?,
         };
-        let table = subject.material_table(context.config, fitted.kind);
+        let table = &context.config.garment(fitted.kind)?.material;
         let fabric = start.fabrics.get(index).cloned().flatten().or_else(|| first.material.clone());
         let model: Arc<_> = Arc::from(material(table, config_key(fitted.kind), fabric.as_deref())?);
         let mut learner = {

@@ -1,0 +1,238 @@
+//! The scene plan: what an experiment needs of everything that caphy can do. Derived once from configuration and data, printed by
+//! `caphy run --plan`, and obeyed: what is off is neither run nor allocated.
+
+use crate::config::{Config, SubjectConfig};
+use crate::scene::Scene;
+use crate::stage::alternation_names;
+use crate::stage::preprocess::Subject;
+use crate::trainer::pose_features;
+use caphy_core::{Error, Result};
+use serde::Serialize;
+use std::fmt::Write;
+
+/// A stage and whether this experiment has it.
+#[derive(Debug, Clone, Serialize)]
+pub struct PlannedStage {
+    /// Its name.
+    pub name: &'static str,
+    /// Stages whose results it uses.
+    pub needs: Vec<&'static str>,
+    /// Why it is off; `None` when it is on.
+    pub off: Option<String>,
+    /// Whether its artifact is there and up to date.
+    pub done: bool,
+}
+
+/// Stages of an experiment in their order.
+#[derive(Debug, Clone, Serialize)]
+pub struct ScenePlan {
+    /// All stages.
+    pub stages: Vec<PlannedStage>,
+    /// What is known of the garments once the subject is there.
+    pub garments: Vec<PlannedGarment>,
+    /// Frames of training motion and windows that may be drawn; once the subject is there.
+    pub motion: Option<PlannedMotion>,
+}
+
+/// The part of the body and of the net that a garment needs.
+#[derive(Debug, Clone, Serialize)]
+pub struct PlannedGarment {
+    /// Upper or lower.
+    pub name: String,
+    /// Vertices of the template.
+    pub vertices: usize,
+    /// Body vertices that any garment can reach, of all: only these are posed in training and searched for contact.
+    pub body_vertices: [usize; 2],
+    /// Joints that move it, of all: only these are told to the net.
+    pub joints: Vec<String>,
+    /// Joints of the body.
+    pub all_joints: usize,
+    /// Inputs, outputs and parameters of the net.
+    pub net: [usize; 3],
+    /// Energy terms, each with the reason why it is off.
+    pub terms: Vec<(&'static str, Option<String>)>,
+}
+
+/// Motion to train on.
+#[derive(Debug, Clone, Serialize)]
+pub struct PlannedMotion {
+    /// Frames of all clips.
+    pub frames: usize,
+    /// First frames of windows.
+    pub windows: usize,
+}
+
+impl ScenePlan {
+    /// Which stages an experiment has.
+    pub fn new(config: &Config) -> Self {
+        let mut stages: Vec<PlannedStage> = Vec::new();
+        let mut add = |name, needs: &[&'static str], off: Option<&str>| {
+            stages.push(PlannedStage { name, needs: needs.to_vec(), off: off.map(str::to_string), done: false });
+        };
+        let subject = match &config.subject {
+            SubjectConfig::Synthetic(_) => {
+                add("synth", &[], None);
+                add("preprocess", &["synth"], None);
+                "preprocess"
+            }
+            SubjectConfig::Scans(_) => {
+                add("preprocess", &[], None);
+                "preprocess"
+            }
+            SubjectConfig::Dressed(_) => {
+                add("dress", &[], None);
+                "dress"
+            }
+        };
+        let no_scans = matches!(config.subject, SubjectConfig::Dressed(_)).then_some("there are no scans");
+        add("train", &[subject], None);
+        let mut nets = "train";
+        for alternation in 0..config.optimise.alternations {
+            let (optimise, again) = alternation_names(alternation);
+            add(optimise, &[subject, nets], no_scans);
+            add(again, &[subject, nets, optimise], no_scans);
+            if no_scans.is_none() {
+                nets = again;
+            }
+        }
+        let alone = if config.garments().count() < 2 {
+            Some("there is one garment")
+        } else if config.finetune.epochs == 0 {
+            Some("finetune.epochs = 0")
+        } else {
+            None
+        };
+        add("finetune", &[subject, nets], alone);
+        let avatar = if alone.is_none() { "finetune" } else { nets };
+        add("evaluate", &[subject, nets, avatar], no_scans);
+        let compare = config.compare.is_none().then_some("there is no [compare]");
+        add("reference", &[subject], compare);
+        add("compare", &[subject, nets, "reference"], compare);
+        add("animate", &[subject, avatar], None);
+        add("export", &[subject, avatar, "animate"], None);
+        let shown: Vec<&'static str> = stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect();
+        stages.push(PlannedStage { name: "report", needs: shown, off: None, done: false });
+        Self { stages, garments: Vec::new(), motion: None }
+    }
+
+    /// Narrows the plan to one stage and what it needs.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a stage that the experiment does not have, with those that it has.
+    pub fn only(mut self, target: &str) -> Result<Self> {
+        match self.stages.iter().find(|s| s.name == target) {
+            Some(PlannedStage { off: None, .. }) => {}
+            Some(PlannedStage { off: Some(why), .. }) => {
+                return Err(Error::config("--only", format!("`{target}` is off: {why}"), "choose another stage"));
+            }
+            None => {
+                let on: Vec<&str> = self.stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect();
+                let remedy = format!("choose one of {}", on.join(", "));
+                return Err(Error::config("--only", format!("there is no stage `{target}`"), remedy));
+            }
+        }
+        let mut wanted = vec![target.to_string()];
+        // A stage's needs come before it.
+        for stage in self.stages.iter_mut().rev().filter(|s| s.off.is_none()) {
+            if wanted.iter().any(|w| w == stage.name) {
+                wanted.extend(stage.needs.iter().map(|n| n.to_string()));
+            } else {
+                stage.off = Some(format!("--only {target}"));
+            }
+        }
+        Ok(self)
+    }
+
+    /// Whether a stage is on.
+    pub fn has(&self, stage: &str) -> bool {
+        self.stages.iter().any(|s| s.name == stage && s.off.is_none())
+    }
+
+    /// Notes that a stage's artifact is up to date.
+    pub(crate) fn done(&mut self, stage: &str) {
+        for planned in self.stages.iter_mut().filter(|s| s.name == stage) {
+            planned.done = true;
+        }
+    }
+
+    /// Adds what only the subject tells.
+    ///
+    /// # Errors
+    /// What the body, the clips or the net are refused for.
+    pub(crate) fn describe(&mut self, config: &Config, scene: &Scene, subject: &Subject) -> Result<()> {
+        let body = scene.body.describe();
+        for garment in &subject.garments {
+            let features = pose_features(garment, body)?;
+            let net = config.net.net(features.count(), 3 * garment.mesh.vertices.len())?;
+            let manifest = net.manifest();
+            let names = features.joints().iter().map(|&j| body.joints[j].name.clone()).collect();
+            self.garments.push(PlannedGarment {
+                name: garment.kind.to_string(),
+                vertices: garment.mesh.vertices.len(),
+                body_vertices: [scene.reach.vertices.len(), body.vertex_count],
+                joints: names,
+                all_joints: body.joints.len(),
+                net: [manifest.inputs, manifest.outputs, manifest.tensors.iter().map(|t| t.len()).sum()],
+                terms: terms(config, subject, garment.loops.iter().any(|l| l.name == "waist"))?,
+            });
+        }
+        Ok(())
+    }
+
+    /// The plan as text.
+    pub fn text(&self) -> String {
+        let mut out = String::from("Stages\n");
+        for stage in &self.stages {
+            let state = match (&stage.off, stage.done) {
+                (Some(why), _) => format!("off: {why}"),
+                (None, true) => "up to date".into(),
+                (None, false) => "to run".into(),
+            };
+            let _ = writeln!(out, "  {:18} {state}", stage.name);
+        }
+        if self.garments.is_empty() {
+            out.push_str("Garments: known once the subject is there.\n");
+        }
+        for g in &self.garments {
+            let _ = writeln!(out, "Garment {}: {} vertices", g.name, g.vertices);
+            let _ = writeln!(out, "  body in contact    {} of {} vertices", g.body_vertices[0], g.body_vertices[1]);
+            let _ =
+                writeln!(out, "  joints             {} of {}: {}", g.joints.len(), g.all_joints, g.joints.join(", "));
+            let _ = writeln!(
+                out,
+                "  net                {} inputs, {} outputs, {} parameters",
+                g.net[0], g.net[1], g.net[2]
+            );
+            let (on, off): (Vec<_>, Vec<_>) = g.terms.iter().partition(|t| t.1.is_none());
+            let on: Vec<&str> = on.iter().map(|t| t.0).collect();
+            let _ = writeln!(out, "  energies           {}", on.join(", "));
+            for (name, why) in off {
+                let _ = writeln!(out, "  no {name:15} {}", why.as_deref().unwrap_or_default());
+            }
+        }
+        if let Some(motion) = &self.motion {
+            let _ = writeln!(out, "Motion: {} frames, {} windows", motion.frames, motion.windows);
+        }
+        out
+    }
+}
+
+/// Energy terms of one garment's training, each with the reason why it is off.
+fn terms(config: &Config, subject: &Subject, waistband: bool) -> Result<Vec<(&'static str, Option<String>)>> {
+    let w = &config.train.weights;
+    let weight = |name: &str, value: f64| (value == 0.0).then(|| format!("train.weights.{name} = 0"));
+    let or = |first: Option<String>, holds: bool, why: &str| first.or_else(|| holds.then(|| why.to_string()));
+    Ok(vec![
+        ("strain", weight("strain", w.strain)),
+        ("bending", weight("bending", w.bending)),
+        ("gravity", weight("gravity", w.gravity)),
+        (
+            "inertia",
+            or(weight("inertia", w.inertia), config.train.window < 3, "train.window < 3: no velocity is known"),
+        ),
+        ("collision", weight("collision", w.collision)),
+        ("attachment", or(weight("attachment", w.attachment), !waistband, "the garment has no waistband")),
+        ("scan", or(weight("scan", w.scan), subject.training_scans().next().is_none(), "there are no scans")),
+        ("layering", or(weight("layering", w.layering), subject.garments.len() < 2, "there is one garment")),
+    ])
+}
