@@ -2,7 +2,7 @@
 
 use crate::artifact;
 use crate::garment::{FittedGarment, TrainedGarment};
-use crate::inputs;
+use crate::inputs::{self, TableArgument};
 use crate::plugins::{Kind, PluginTable, Plugins};
 use crate::scene::Scene;
 use crate::stage::Context;
@@ -41,12 +41,7 @@ impl Avatar {
     /// # Errors
     /// [`Error::Config`] for a path with an unset variable.
     pub fn new(context: &Context<'_>, subject: &Subject, nets: &Nets) -> Result<Self> {
-        let mut body = context.config.body.table().clone();
-        if let Some(toml::Value::String(path)) = body.get_mut("path") {
-            let resolved = context.files.resolve(Path::new(path))?;
-            let absolute = std::path::absolute(&resolved).map_err(|e| Error::io(&resolved, "find", e))?;
-            *path = absolute.to_string_lossy().into_owned();
-        }
+        let body = TableArgument { table: context.config.body.clone(), files: context.files.clone() }.anywhere()?;
         Ok(Self {
             body: body.to_string(),
             net: context.config.net.text(),

@@ -28,9 +28,9 @@ fn table_of(kind: Kind, type_name: &str, path: &Path, plugins: &Plugins) -> Resu
 }
 
 /// A table in a file of its own, and the folder that its paths are relative to.
-fn table_in(kind: Kind, path: &Path, plugins: &Plugins) -> Result<(PluginTable, ProjectFiles)> {
+fn table_in(kind: Kind, path: &Path, plugins: &Plugins) -> Result<TableArgument> {
     let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-    Ok((PluginTable::parse(plugins, kind, path, &text)?, beside(path)))
+    Ok(TableArgument { table: PluginTable::parse(plugins, kind, path, &text)?, files: beside(path) })
 }
 
 /// Paths in a file are relative to it.
@@ -38,63 +38,119 @@ fn beside(path: &Path) -> ProjectFiles {
     ProjectFiles::new(path.parent().unwrap_or(Path::new(".")))
 }
 
+/// A plugin's table that an argument names, and where its paths are.
+pub struct TableArgument {
+    /// The table, as an experiment would hold it.
+    pub table: PluginTable,
+    /// Where relative paths in it start.
+    pub files: ProjectFiles,
+}
+
+impl TableArgument {
+    fn here(table: PluginTable) -> Self {
+        Self { table, files: ProjectFiles::new(".") }
+    }
+    /// The table as an experiment in another folder would hold it: its file's path is absolute.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a path with an unset variable.
+    pub fn anywhere(&self) -> Result<toml::Table> {
+        let mut table = self.table.table().clone();
+        if let Some(toml::Value::String(path)) = table.get_mut("path") {
+            let resolved = self.files.resolve(Path::new(path))?;
+            let absolute = std::path::absolute(&resolved).map_err(|e| Error::io(&resolved, "find", e))?;
+            *path = absolute.to_string_lossy().into_owned();
+        }
+        Ok(table)
+    }
+}
+
 /// `mannequin` or another type without keys, an `.npz` in the SMPL-X layout, or a TOML file with a body's table.
 ///
 /// # Errors
 /// What the table or the body's file is refused for; [`Error::Config`] for a name that is none of these.
-pub fn body(argument: &str, plugins: &Plugins) -> Result<Box<dyn BodyModel>> {
+pub fn body_table(argument: &str, plugins: &Plugins) -> Result<TableArgument> {
     let path = Path::new(argument);
     match ending(path).as_str() {
-        "toml" => {
-            let (table, files) = table_in(Kind::Body, path, plugins)?;
-            table.body(&files)
-        }
+        "toml" => table_in(Kind::Body, path, plugins),
         // A pickle is refused by the reader of `.npz`, with the way to convert it.
-        "npz" | "pkl" => table_of(Kind::Body, "smplx", path, plugins)?.body(&ProjectFiles::new(".")),
+        "npz" | "pkl" => table_of(Kind::Body, "smplx", path, plugins).map(TableArgument::here),
         _ => {
-            let names = plugins.names(Kind::Body);
-            if !names.iter().any(|n| n == argument) {
-                let remedy =
-                    format!("give an .npz in the SMPL-X layout, a .toml with a table, or {}", names.join(", "));
-                return Err(Error::config("body", format!("`{argument}` is neither a file nor a type"), remedy));
-            }
-            let text = format!("type = \"{argument}\"\n");
-            PluginTable::parse(plugins, Kind::Body, path, &text)?.body(&ProjectFiles::new("."))
+            let remedy = "give an .npz in the SMPL-X layout, a .toml with a table, or a type";
+            type_table(Kind::Body, argument, plugins, remedy)
         }
     }
 }
 
-/// One of the ten fabrics by name, a material type without keys, or a TOML file with a material's table.
+/// A type that needs no keys.
+fn type_table(kind: Kind, name: &str, plugins: &Plugins, remedy: &str) -> Result<TableArgument> {
+    let names = plugins.names(kind);
+    if !names.iter().any(|n| n == name) {
+        let problem = format!("`{name}` is neither a file nor a type");
+        return Err(Error::config(kind.key(), problem, format!("{remedy}: {}", names.join(", "))));
+    }
+    let text = format!("type = \"{name}\"\n");
+    PluginTable::parse(plugins, kind, Path::new(name), &text).map(TableArgument::here)
+}
+
+/// The body that [`body_table`] names.
 ///
 /// # Errors
-/// As [`body`], for materials.
-pub fn material(argument: &str, plugins: &Plugins) -> Result<Box<dyn MaterialModel>> {
+/// As [`body_table`], and what the body's file is refused for.
+pub fn body(argument: &str, plugins: &Plugins) -> Result<Box<dyn BodyModel>> {
+    let TableArgument { table, files } = body_table(argument, plugins)?;
+    table.body(&files)
+}
+
+/// A net's type without keys, or a TOML file with a net's table.
+///
+/// # Errors
+/// As [`body_table`], for nets.
+pub fn net_table(argument: &str, plugins: &Plugins) -> Result<TableArgument> {
+    let path = Path::new(argument);
+    match ending(path).as_str() {
+        "toml" => table_in(Kind::Net, path, plugins),
+        _ => type_table(Kind::Net, argument, plugins, "give a .toml with a table, or a type"),
+    }
+}
+
+/// One of the ten fabrics by name, a material's type without keys, or a TOML file with a material's table.
+///
+/// # Errors
+/// As [`body_table`], for materials.
+pub fn material_table(argument: &str, plugins: &Plugins) -> Result<TableArgument> {
     let path = Path::new(argument);
     if ending(path) == "toml" {
-        let (table, _) = table_in(Kind::Material, path, plugins)?;
-        return table.material("material").map_err(|error| match error {
-            // A material knows its keys, not the file that they stand in.
-            Error::Config { key, problem, remedy } => Error::format(path, format!("`{key}`"), problem, remedy),
-            other => other,
-        });
+        return table_in(Kind::Material, path, plugins);
     }
     let fabrics: Vec<String> = Fabric::all()?.into_iter().map(|f| f.name).collect();
     if fabrics.iter().any(|f| f == argument) {
         let text = format!("type = \"measured\"\nfabric = \"{argument}\"\n");
-        return PluginTable::parse(plugins, Kind::Material, path, &text)?.material("material");
+        return PluginTable::parse(plugins, Kind::Material, path, &text).map(TableArgument::here);
     }
-    if plugins.names(Kind::Material).iter().any(|n| n == argument) {
-        return PluginTable::parse(plugins, Kind::Material, path, &format!("type = \"{argument}\"\n"))?
-            .material("material");
-    }
-    let remedy = format!("give a .toml with a table, or a fabric: {}", fabrics.join(", "));
-    Err(Error::config("material", format!("`{argument}` is neither a file nor a fabric"), remedy))
+    let remedy = format!("give a .toml with a table, a fabric ({}), or a type", fabrics.join(", "));
+    type_table(Kind::Material, argument, plugins, &remedy)
+}
+
+/// The material that [`material_table`] names.
+///
+/// # Errors
+/// As [`material_table`]; [`Error::Format`] for a table's value that cannot be used.
+pub fn material(argument: &str, plugins: &Plugins) -> Result<Box<dyn MaterialModel>> {
+    material_table(argument, plugins)?.table.material("material").map_err(|error| match error {
+        // A material knows its keys, not the file that they stand in.
+        Error::Config { key, problem, remedy } => {
+            Error::format(Path::new(argument), format!("`{key}`"), problem, remedy)
+        }
+        other => other,
+    })
 }
 
 /// Garments that an argument names.
 pub struct GarmentArgument {
     /// The argument without its values, for messages.
     name: String,
+    table: TableArgument,
     source: Box<dyn TemplateSource>,
     /// The kind, where the argument says it.
     kind: Option<GarmentKind>,
@@ -118,27 +174,38 @@ impl GarmentArgument {
             None => (argument, None),
         };
         let path = Path::new(name);
-        let here = ProjectFiles::new(".");
         let kind = match name {
             "upper" => Some(GarmentKind::Upper),
             "lower" => Some(GarmentKind::Lower),
             _ => None,
         };
-        let (table, files) = match ending(path).as_str() {
+        let of = |type_name| table_of(Kind::Template, type_name, path, plugins).map(TableArgument::here);
+        let table = match ending(path).as_str() {
             _ if kind.is_some() => {
-                (PluginTable::parse(plugins, Kind::Template, path, "type = \"parametric\"\n")?, here)
+                TableArgument::here(PluginTable::parse(plugins, Kind::Template, path, "type = \"parametric\"\n")?)
             }
             "toml" => table_in(Kind::Template, path, plugins)?,
-            "npz" | "pkl" => (table_of(Kind::Template, "linear", path, plugins)?, here),
-            "obj" | "ply" => (table_of(Kind::Template, "mesh", path, plugins)?, here),
-            _ if path.is_dir() => (table_of(Kind::Template, "folder", path, plugins)?, here),
+            "npz" | "pkl" => of("linear")?,
+            "obj" | "ply" => of("mesh")?,
+            _ if path.is_dir() => of("folder")?,
             _ => {
                 let problem = format!("`{name}` is no garment");
                 let remedy = "give upper, lower, an .obj or .ply, a folder of them, an .npz style space, or a .toml";
                 return Err(Error::config("garment", problem, remedy));
             }
         };
-        Ok(Self { name: name.into(), source: table.template(&files)?, kind, values })
+        let source = table.table.template(&table.files)?;
+        Ok(Self { name: name.into(), table, source, kind, values })
+    }
+
+    /// The source's table.
+    pub fn table(&self) -> &TableArgument {
+        &self.table
+    }
+
+    /// Style values that the argument gives.
+    pub fn values(&self) -> Option<&[f64]> {
+        self.values.as_deref()
     }
 
     /// Where the garments come from.

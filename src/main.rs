@@ -30,6 +30,9 @@ enum Command {
     /// Show what caphy has or reads, as tables and pictures.
     #[command(subcommand)]
     Show(command::show::What),
+    /// Train garments of a dressed body by physics on motion, without scans.
+    #[command(after_help = command::train::EXAMPLES)]
+    Train(command::train::Arguments),
     /// Play a motion clip on a dressed body and write files that other programs open.
     #[command(after_help = command::animate::EXAMPLES)]
     Animate(command::animate::Arguments),
@@ -68,6 +71,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
     match &cli.command {
         Command::Run(arguments) => command::run::run(arguments, &mut plugins),
         Command::Show(what) => command::show::run(what, &plugins),
+        Command::Train(arguments) => command::train::run(arguments, &mut plugins),
         Command::Animate(arguments) => command::animate::run(arguments, &plugins),
         Command::Simulate(arguments) => command::simulate::run(arguments, &plugins),
         Command::Probe(arguments) => command::probe::run(arguments, &plugins),

@@ -108,8 +108,12 @@ impl ScenePlan {
         let compare = config.compare.is_none().then_some("there is no [compare]");
         add("reference", &[subject], compare);
         add("compare", &[subject, nets, "reference"], compare);
-        add("animate", &[subject, avatar], None);
-        add("export", &[subject, avatar, "animate"], None);
+        let animate = config.animate.is_none().then_some("there is no [animate]");
+        add("animate", &[subject, avatar], animate);
+        match animate {
+            None => add("export", &[subject, avatar, "animate"], None),
+            Some(_) => add("export", &[subject, avatar], None),
+        }
         let shown: Vec<&'static str> = stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect();
         stages.push(PlannedStage { name: "report", needs: shown, off: None, done: false });
         Self { stages, garments: Vec::new(), motion: None }

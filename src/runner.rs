@@ -235,17 +235,19 @@ impl Run {
             tables.insert_str(0, &measured.table());
             (scores, scores_hash) = (Some(measured), hash);
         }
-        if !self.plan.has("animate") {
-            return Ok(tables);
+        let (mut film, mut film_hash) = (None, avatar_hash.clone());
+        if self.plan.has("animate") {
+            let key = part(&["body", "net", "motion.fps", "animate", "evaluate.penetration_m"]);
+            let (played, hash) =
+                self.stage("animate", &key, &avatar_hash, |cx| stage::animate::run(cx, &subject, &avatar))?;
+            (film, film_hash) = (Some(played), hash);
         }
-        let key = part(&["body", "net", "motion.fps", "animate", "evaluate.penetration_m"]);
-        let (film, film_hash) =
-            self.stage("animate", &key, &avatar_hash, |cx| stage::animate::run(cx, &subject, &avatar))?;
         if !self.plan.has("export") {
             return Ok(tables);
         }
-        let (exported, export_hash) =
-            self.stage("export", &key, &film_hash, |cx| stage::export::run(cx, &subject, &avatar, &film))?;
+        let (exported, export_hash) = self.stage("export", &part(&["finetune"]), &film_hash, |cx| {
+            stage::export::run(cx, &subject, &avatar, film.as_ref())
+        })?;
         if !self.plan.has("report") {
             return Ok(tables);
         }
@@ -257,7 +259,7 @@ impl Run {
             nets: &nets,
             scores: scores.as_ref(),
             comparison: compared.as_ref(),
-            film: &film,
+            film: film.as_ref(),
             exported: &exported.files,
             timings: &timings,
         };

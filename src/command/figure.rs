@@ -66,6 +66,10 @@ impl Figure {
     pub(crate) fn body(&self, plugins: &Plugins) -> Result<Box<dyn BodyModel>> {
         inputs::body(self.body.as_deref().unwrap_or("mannequin"), plugins)
     }
+    /// How garments take their weights from the body.
+    pub(crate) fn weights(&self) -> WeightOptions {
+        if self.nearest_weights { WeightOptions::nearest() } else { WeightOptions::default() }
+    }
     /// Dresses the body for a clip.
     pub(crate) fn dress<'a>(
         &self,
@@ -83,8 +87,7 @@ impl Figure {
                 templates.push(named.source().template(&tailor, &style, self.resolution)?);
             }
         }
-        let weights = if self.nearest_weights { WeightOptions::nearest() } else { WeightOptions::default() };
-        Dressed::new(body, shape, templates, &weights, clip)
+        Dressed::new(body, shape, templates, &self.weights(), clip)
     }
 }
 

@@ -15,8 +15,7 @@ impl Config {
     pub fn check_files(&self, files: &ProjectFiles) -> Result<()> {
         let mut named: Vec<(&str, &Path)> = Vec::new();
         let clips = self.motion.clips.iter().map(|clip| ("motion.clips", clip));
-        let compared = self.compare.iter().map(|c| ("compare.clip", &c.clip));
-        for (key, clip) in clips.chain([("animate.clip", &self.animate.clip)]).chain(compared) {
+        for (key, clip) in clips.chain(self.played()) {
             match clip {
                 ClipConfig::Procedural { .. } => {}
                 ClipConfig::Amass { path, .. } | ClipConfig::Tracked { path, .. } => named.push((key, path)),
@@ -92,9 +91,7 @@ impl Config {
             count(&format!("{name}.styles"), garment.styles, 1, 100_000)?;
             resolution(&format!("{name}.resolution_m"), garment.resolution_m)?;
         }
-        let played = [("animate.clip", &self.animate.clip)];
-        let compared = self.compare.iter().map(|c| ("compare.clip", &c.clip));
-        for (key, clip) in self.motion.clips.iter().map(|c| ("motion.clips", c)).chain(played).chain(compared) {
+        for (key, clip) in self.motion.clips.iter().map(|c| ("motion.clips", c)).chain(self.played()) {
             match clip {
                 ClipConfig::Procedural { seconds, .. } => positive(&format!("{key}.seconds"), *seconds)?,
                 ClipConfig::Amass { .. } => {}
@@ -109,8 +106,7 @@ impl Config {
                 ClipConfig::Folder { amc_fps, .. } => positive(&format!("{key}.amc_fps"), *amc_fps)?,
             }
         }
-        let compared = self.compare.iter().map(|c| ("compare.clip", &c.clip));
-        for (key, clip) in [("animate.clip", &self.animate.clip)].into_iter().chain(compared) {
+        for (key, clip) in self.played() {
             if matches!(clip, ClipConfig::Folder { .. }) {
                 return Err(Error::config(key, "is a folder", "name one clip"));
             }
@@ -174,14 +170,22 @@ impl Config {
         not_negative("finetune.layering.weight", layering.weight)?;
         not_negative("optimise.force_balance.regularisation", self.optimise.force_balance.regularisation)?;
         not_negative("evaluate.penetration_m", self.evaluate.penetration_m)?;
-        not_negative("animate.push_out_m", self.animate.push_out_m)?;
         positive("finetune.learning_rate", self.finetune.learning_rate)?;
         let factor = self.optimise.force_balance.largest_factor;
         if factor.is_nan() || factor < 1.0 {
             let key = "optimise.force_balance.largest_factor";
             return Err(Error::config(key, factor.to_string(), "give a number of at least 1"));
         }
-        count("animate.obj_every", self.animate.obj_every, 1, usize::MAX)?;
-        positive("animate.seconds", self.animate.seconds)
+        if let Some(animate) = &self.animate {
+            not_negative("animate.push_out_m", animate.push_out_m)?;
+            count("animate.obj_every", animate.obj_every, 1, usize::MAX)?;
+            positive("animate.seconds", animate.seconds)?;
+        }
+        Ok(())
+    }
+    /// Clips that are played, with their keys.
+    fn played(&self) -> impl Iterator<Item = (&'static str, &ClipConfig)> {
+        let animate = self.animate.iter().map(|a| ("animate.clip", &a.clip));
+        animate.chain(self.compare.iter().map(|c| ("compare.clip", &c.clip)))
     }
 }

@@ -68,8 +68,9 @@ pub struct Config {
     /// Comparison of trained nets with the reference solver; none when it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compare: Option<CompareConfig>,
-    /// What the avatar plays at the end.
-    pub animate: AnimateConfig,
+    /// What the avatar plays at the end; nothing when it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub animate: Option<AnimateConfig>,
 }
 
 /// `[[plugin]]`

@@ -12,7 +12,7 @@ use crate::plugins::PluginTable;
 use crate::scene::Scene;
 use caphy_core::body::BodyModel;
 use caphy_core::motion::MotionClip;
-use caphy_core::{Result, TriMesh, Vec3};
+use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::energy::{LayeringOptions, LayeringOrder};
 use caphy_garment::template::GarmentKind;
 use serde::{Deserialize, Serialize};
@@ -131,7 +131,8 @@ pub fn perform(
 /// Plays `[animate] clip`.
 pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Film> {
     let scene = Scene::new(context, subject)?;
-    let config = &context.config.animate;
+    let missing = || Error::config("animate", "there is no such table", "add [animate] with a `clip`");
+    let config = context.config.animate.as_ref().ok_or_else(missing)?;
     let fps = avatar.garments.first().map_or(context.config.motion.fps, |g| g.fps);
     // Whatever a clip holds is played.
     let mut clip = motion::load(context.files, &config.clip, None, fps, &scene.rest_joints[0])?.clip;

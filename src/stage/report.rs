@@ -30,8 +30,8 @@ pub struct Inputs<'a> {
     pub scores: Option<&'a Scores>,
     /// Measurements against the reference solver, where they were asked for.
     pub comparison: Option<&'a Comparison>,
-    /// The played clip.
-    pub film: &'a Film,
+    /// The played clip, where one was.
+    pub film: Option<&'a Film>,
     /// Exported files.
     pub exported: &'a [PathBuf],
     /// Seconds per stage, milliseconds per step.
@@ -70,8 +70,9 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
         let _ = write!(html, "<h2>{title}</h2><p>{text}</p><img alt=\"{title}\" src=\"{source}\">");
         Ok(())
     };
-    let strip = embedded(context, "pictures/strip.png")?;
-    film(&mut html, &strip, inputs.film);
+    if let Some(played) = inputs.film {
+        film(&mut html, &embedded(context, "pictures/strip.png")?, played);
+    }
     if !inputs.subject.scans.is_empty() {
         picture(
             &mut html,
@@ -88,12 +89,14 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
     }
     curves(&mut html, inputs);
     fabrics(&mut html, context, inputs)?;
-    picture(
-        &mut html,
-        "Animation",
-        "pictures/animation.png",
-        "Frames of the played clip, from the front and from behind.",
-    )?;
+    if inputs.film.is_some() {
+        picture(
+            &mut html,
+            "Animation",
+            "pictures/animation.png",
+            "Frames of the played clip, from the front and from behind.",
+        )?;
+    }
     if let Some(scores) = inputs.scores {
         picture(
             &mut html,
