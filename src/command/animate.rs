@@ -5,7 +5,7 @@ use caphy::avatar::Avatar;
 use caphy::plugins::Plugins;
 use caphy::stage::animate::{Played, PushOut, perform};
 use caphy_core::{Error, Result};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -55,7 +55,7 @@ pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> 
 }
 
 /// Plays an avatar; returns the number of frames.
-fn avatar(arguments: &Arguments, path: &PathBuf, plugins: &Plugins) -> Result<usize> {
+fn avatar(arguments: &Arguments, path: &Path, plugins: &Plugins) -> Result<usize> {
     if !(arguments.push_out.is_finite() && arguments.push_out >= 0.0) {
         return Err(Error::config("--push-out", arguments.push_out.to_string(), "give 0 or a positive number"));
     }
