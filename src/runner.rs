@@ -381,6 +381,7 @@ impl Run {
         artifact::write_atomically(&self.folder.join("timings.json"), &timings)?;
         self.drop_checkpoints();
         self.ran.push(name);
+        self.plan.done(name);
         Ok((value, content))
     }
 }

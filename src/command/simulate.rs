@@ -18,7 +18,7 @@ use std::time::Instant;
 
 pub(crate) const EXAMPLES: &str = "Examples:
   caphy simulate --garment upper --material gray-interlock --motion walk --seconds 2 --out swing
-  caphy simulate --garment upper --garment lower --material knit.toml --material denim.toml --motion 35_01.amc --steps quasi-static --out walk
+  caphy simulate --garment upper --garment lower --material knit.toml --material denim.toml --motion 35_01.amc --steps quasi_static --out walk
 
 The reference solver minimises the energies of every frame directly, without a network. --body, --garment and --motion take what
 `caphy show body|garment|motion` take. MATERIAL is one of the ten fabrics (`caphy show fabrics`), or a TOML file that holds what

@@ -6,6 +6,8 @@ mod bad_input;
 mod commands;
 /// What a configuration may say, and what is answered to one that is wrong.
 mod config;
+/// Subjects without scans.
+mod dressed;
 /// Very small experiments in folders of their own.
 mod experiment;
 /// Bodies, garments and motion, shown and played.
