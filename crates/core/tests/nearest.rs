@@ -1,10 +1,12 @@
 //! Nearest vertices and surface points against brute force and against an independent crate (parry3d), on clouds and meshes
 //! with duplicates, slivers, specks and far queries.
 
+use caphy_core::lanes::Frames;
 use caphy_core::query::{
-    NearestGrid, NearestSurface, PseudoNormals, SurfacePoint, TriangleFeature, nearest_on_triangle,
+    LaneAnswers, NearestGrid, NearestInLanes, NearestSurface, PseudoNormals, SurfacePoint, TriangleFeature,
+    nearest_on_triangle,
 };
-use caphy_core::{Error, TriMesh, Vec3};
+use caphy_core::{Error, Real, TriMesh, Vec3};
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::{Polyline, TriMesh as ParryMesh};
@@ -129,6 +131,91 @@ fn nearest_vertices_equal_brute_force_to_the_bit_in_both_precisions() {
             assert_eq!(grid.nearest_within(&d, wanted.1 * 1.000001 + 1e-300), Some(wanted));
         }
     }
+}
+
+/// Frames of points that bend, turn and drift apart with their lane, and queries around them.
+fn lanes_of<T: Real>(cloud: &[Vec3], asked: &[Vec3], used: usize) -> (Frames<T>, Frames<T>) {
+    let mut points = Frames::zeros(1, cloud.len(), used);
+    let mut queries = Frames::zeros(1, asked.len(), used);
+    for lane in 0..used {
+        let bend = 0.2 * lane as f64;
+        let moved = |p: &Vec3| Vec3::new(p.x + bend * p.y, p.y - bend * p.x * p.x.clamp(-1.0, 1.0), p.z + bend);
+        points.set_frame(0, lane, &cloud.iter().map(moved).collect::<Vec<_>>()).unwrap();
+        queries.set_frame(0, lane, &asked.iter().map(moved).collect::<Vec<_>>()).unwrap();
+    }
+    (points, queries)
+}
+
+fn lane<T: Real>(frames: &Frames<T>, lane: usize) -> Vec<[T; 3]> {
+    frames.data().chunks_exact(3 * T::LANES).map(|p| [0, 1, 2].map(|k| p[k * T::LANES + lane])).collect()
+}
+
+/// Searches in lanes and, frame by frame, in grids; `ids` are the points that count, grouped as `grouped` lie.
+fn lanes_equal_grids<T: Real>(points: &Frames<T>, queries: &Frames<T>, grouped: &[Vec3], ids: &[u32]) {
+    let search = NearestInLanes::new(grouped, ids);
+    let boxes = search.boxes(points.data());
+    let asked: Vec<u32> = (0..queries.vertices() as u32).rev().collect();
+    // From a good group, from a bad one, and from none.
+    let near: Vec<u32> = asked.iter().map(|&v| search.home(grouped, &queries.get(0, 0, v as usize))).collect();
+    let bad: Vec<u32> = asked.iter().map(|&v| v % search.groups() as u32).collect();
+    for home in [Some(&near), Some(&bad), None] {
+        let mut answers = LaneAnswers::none(asked.len());
+        search.search(points.data(), &boxes, queries.data(), &asked, home.map(|h| &h[..]), &mut answers);
+        for l in 0..T::LANES {
+            let all = lane(points, l);
+            let some: Vec<[T; 3]> = ids.iter().map(|&id| all[id as usize]).collect();
+            let grid = NearestGrid::new(&some);
+            for (i, query) in asked.iter().map(|&v| lane(queries, l)[v as usize]).enumerate() {
+                let wanted = grid.nearest(&query).map_or((u32::MAX, T::infinity()), |(k, d)| (ids[k as usize], d));
+                let at = i * T::LANES + l;
+                assert_eq!((answers.ids[at], answers.squares[at]), wanted, "lane {l}, query {i} at {query:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn lanes_give_the_bits_of_a_grid_per_frame() {
+    let mut rng = random(7);
+    let mut mesh = bumpy(3);
+    let copies: Vec<Vec3> = mesh.vertices.iter().step_by(3).copied().collect();
+    mesh.vertices.extend(copies);
+    let cloud: Vec<Vec3> = (0..300).map(|_| point(&mut rng, 1.0)).collect();
+    let flat: Vec<Vec3> = (0..225).map(|i| Vec3::new(f64::from(i % 15), 2.0, f64::from(i / 15)) * 0.125).collect();
+    for cloud in [&mesh.vertices[..], &cloud, &flat, &cloud[..9], &cloud[..8], &cloud[..1]] {
+        // Queries in the middle of a lattice are as far from several points to the bit.
+        let mut asked: Vec<Vec3> = cloud.iter().take(20).map(|p| p + Vec3::new(0.0625, 0.01, 0.0625)).collect();
+        asked.extend(queries(&mut rng, &mesh, 40));
+        let all: Vec<u32> = (0..cloud.len() as u32).collect();
+        let some: Vec<u32> = all.iter().copied().step_by(2).collect();
+        // Groups of a pose that has nothing to do with the frames: slow, and the same answers.
+        let unlike: Vec<Vec3> = cloud.iter().map(|_| point(&mut rng, 1.0)).collect();
+        for (used, ids, grouped) in [(16, &all, cloud), (5, &some, cloud), (1, &all, &unlike[..])] {
+            let (points, queries) = lanes_of::<f32>(cloud, &asked, used);
+            lanes_equal_grids(&points, &queries, grouped, ids);
+            let (points, queries) = lanes_of::<f64>(cloud, &asked, used.min(8));
+            lanes_equal_grids(&points, &queries, grouped, ids);
+        }
+    }
+}
+
+#[test]
+fn lanes_without_an_answer_say_so_and_the_others_have_theirs() {
+    let cloud = bumpy(2).vertices;
+    let ids: Vec<u32> = (0..cloud.len() as u32).collect();
+    let (mut points, mut queries) = lanes_of::<f32>(&cloud, &cloud[..4], 16);
+    // A point that is nowhere, a lane without any, queries that are nowhere.
+    points.data_mut()[3] = f32::NAN;
+    points.data_mut()[16 + 4] = f32::INFINITY;
+    points.data_mut().chunks_exact_mut(16).for_each(|row| row[5] = f32::NAN);
+    queries.data_mut()[6] = f32::NAN;
+    queries.data_mut()[7] = f32::INFINITY;
+    lanes_equal_grids(&points, &queries, &cloud, &ids);
+    let search = NearestInLanes::new(&cloud, &[]);
+    let mut answers = LaneAnswers::none(4);
+    search.search(points.data(), &search.boxes(points.data()), queries.data(), &[0, 1, 2, 3], None, &mut answers);
+    assert_eq!(answers, LaneAnswers::none(4));
+    assert_eq!((search.groups(), search.home(&cloud, &Vec3::zeros())), (0, 0));
 }
 
 #[test]

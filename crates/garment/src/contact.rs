@@ -5,10 +5,10 @@
 //! the vertices that its own joint moves, measured in the T-pose; what it leaves out is contact across limbs (a hand on
 //! a hip), which a penalty on nearest vertices cannot resolve anyway.
 
-use crate::energy::{NoNearest, lane_points, nearest_of_all};
+use crate::energy::NoNearest;
 use caphy_core::body::BlendWeights;
 use caphy_core::lanes::Frames;
-use caphy_core::query::NearestGrid;
+use caphy_core::query::{LaneAnswers, NearestGrid, NearestInLanes};
 use caphy_core::{Error, Real, Result, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -17,7 +17,9 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, PartialEq)]
 struct Region {
     garment: Vec<u32>,
-    body: Vec<u32>,
+    body: NearestInLanes,
+    /// Where the search of each garment vertex begins.
+    home: Vec<u32>,
 }
 
 /// Candidates for contact, fixed in the T-pose.
@@ -26,6 +28,8 @@ pub struct ContactMap {
     regions: Vec<Region>,
     garment_count: usize,
     body_count: usize,
+    /// Vertices behind the body's that everybody can touch.
+    obstacle_count: usize,
 }
 
 impl ContactMap {
@@ -62,75 +66,91 @@ impl ContactMap {
                 if ids.is_empty() {
                     return Err(Error::mesh("body", "whole surface", "has no vertices", "give the body's surface"));
                 }
-                Ok(Region { garment, body: ids })
+                let search = NearestInLanes::new(body, &ids);
+                let home = points.par_iter().map(|p| search.home(body, p)).collect();
+                Ok(Region { garment, body: search, home })
             })
             .collect::<Result<Vec<_>>>()?;
-        Ok(Self { regions, garment_count: template.len(), body_count: body.len() })
+        Ok(Self { regions, garment_count: template.len(), body_count: body.len(), obstacle_count: 0 })
     }
 
     /// The same with further obstacle vertices behind the body's, which every garment vertex can touch: another garment.
     pub fn with_obstacle(mut self, vertices: usize) -> Self {
-        let added = self.body_count as u32..(self.body_count + vertices) as u32;
-        for region in &mut self.regions {
-            region.body.extend(added.clone());
-        }
-        self.body_count += vertices;
+        self.obstacle_count += vertices;
         self
     }
 
     /// Nearest candidate of each garment vertex, `[block][garment vertex][lane]`; spare lanes repeat the last frame: the
-    /// `nearest` of [`crate::energy::BodyState`].
+    /// `nearest` of [`crate::energy::BodyState`]. Exact, equal distances to the smallest id.
     ///
     /// # Errors
     /// [`Error::Length`] for other garments or bodies, [`Error::Numerics`] naming a garment vertex that is not finite.
     pub fn nearest<T: Real>(&self, garment: &Frames<T>, body: &Frames<T>) -> Result<Vec<u32>> {
+        let mut out = Vec::new();
+        self.nearest_into(garment, body, &mut out)?;
+        Ok(out)
+    }
+
+    /// [`ContactMap::nearest`] into a buffer that is used again and again.
+    ///
+    /// # Errors
+    /// As [`ContactMap::nearest`].
+    pub fn nearest_into<T: Real>(&self, garment: &Frames<T>, body: &Frames<T>, out: &mut Vec<u32>) -> Result<()> {
+        let points = self.body_count + self.obstacle_count;
         Error::check_length("garment vertices of the contact map", self.garment_count, garment.vertices())?;
-        Error::check_length("body vertices of the contact map", self.body_count, body.vertices())?;
+        Error::check_length("body vertices of the contact map", points, body.vertices())?;
         Error::check_length("body frames of the contact search", garment.frames(), body.frames())?;
+        Error::check_length("body lanes of the contact search", garment.lanes_used(), body.lanes_used())?;
         let (lanes, n) = (garment.lanes_used(), garment.vertices());
-        let per_frame: Vec<Result<Vec<u32>>> = (0..garment.frames())
-            .into_par_iter()
-            .map(|frame| {
-                let (block, lane) = (frame / lanes, frame % lanes);
-                let (cloth, skin) = (lane_points(garment, block, lane), lane_points(body, block, lane));
-                let mut out = vec![0u32; n];
-                for region in &self.regions {
-                    let points: Vec<[T; 3]> = region.body.iter().map(|&b| skin[b as usize]).collect();
-                    let queries: Vec<[T; 3]> = region.garment.iter().map(|&v| cloth[v as usize]).collect();
-                    let found = nearest_of_all(&NearestGrid::new(&points), &queries).map_err(|e| match e {
-                        // The search counts within its region, people count within the garment.
-                        NoNearest::Query(i, at) => {
-                            NoNearest::Query(region.garment[i] as usize, at).into_error(block, lane)
-                        }
-                        empty => empty.into_error(block, lane),
-                    })?;
-                    for (&v, id) in region.garment.iter().zip(found) {
-                        out[v as usize] = region.body[id as usize];
-                    }
+        out.resize(garment.blocks() * n * T::LANES, 0);
+        // The obstacle's shape is only known now: it is grouped as it lies in the first frame.
+        let obstacle = (self.obstacle_count > 0 && body.blocks() > 0).then(|| {
+            NearestInLanes::new(&body.frame(0, 0), &(self.body_count as u32..points as u32).collect::<Vec<_>>())
+        });
+        let obstacle_boxes: Vec<_> = obstacle
+            .iter()
+            .flat_map(|search| (0..body.blocks()).map(|block| search.boxes(body.block(block))))
+            .collect();
+        let tasks: Vec<(usize, &Region)> =
+            (0..garment.blocks()).flat_map(|block| self.regions.iter().map(move |region| (block, region))).collect();
+        let found: Vec<Vec<u32>> = tasks
+            .par_iter()
+            .map(|&(block, region)| {
+                let (cloth, skin) = (garment.block(block), body.block(block));
+                let mut answers = LaneAnswers::none(region.garment.len());
+                let boxes = region.body.boxes(skin);
+                region.body.search(skin, &boxes, cloth, &region.garment, Some(&region.home), &mut answers);
+                if let Some(obstacle) = &obstacle {
+                    obstacle.search(skin, &obstacle_boxes[block], cloth, &region.garment, None, &mut answers);
                 }
-                Ok(out)
+                answers.ids
             })
             .collect();
-        let per_frame = per_frame.into_iter().collect::<Result<Vec<_>>>()?;
-        let mut out = vec![0u32; garment.blocks() * n * T::LANES];
-        if n == 0 {
-            return Ok(out);
-        }
-        for (block, rows) in out.chunks_exact_mut(n * T::LANES).enumerate() {
-            for (v, row) in rows.chunks_exact_mut(T::LANES).enumerate() {
-                for (l, slot) in row.iter_mut().enumerate() {
-                    *slot = per_frame[block * lanes + l.min(lanes - 1)][v];
-                }
+        for ((block, region), found) in tasks.iter().zip(&found) {
+            let rows = &mut out[block * n * T::LANES..][..n * T::LANES];
+            for (&v, ids) in region.garment.iter().zip(found.chunks_exact(T::LANES)) {
+                let row = &mut rows[v as usize * T::LANES..][..T::LANES];
+                row[..lanes].copy_from_slice(&ids[..lanes]);
+                row[lanes..].fill(ids[lanes - 1]);
             }
         }
-        Ok(out)
+        match out.iter().position(|&id| id == u32::MAX) {
+            None => Ok(()),
+            Some(at) => {
+                let (block, v, lane) = (at / (n * T::LANES), at / T::LANES % n, (at % T::LANES).min(lanes - 1));
+                let x = garment.get(block, lane, v);
+                let problem =
+                    if x.iter().all(|c| c.is_finite()) { NoNearest::Empty } else { NoNearest::Query(v, x.into()) };
+                Err(problem.into_error(block, lane))
+            }
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::energy::nearest_body_vertices;
+    use crate::energy::{lane_points, nearest_body_vertices};
 
     /// A trunk (joint 0) and a forearm (joint 1) far from it in the T-pose.
     fn scene() -> (Vec<Vec3>, BlendWeights, Vec<Vec3>) {
@@ -157,6 +177,57 @@ mod tests {
         let nearest = map.nearest(&garment, &frames).unwrap();
         assert!(nearest.iter().all(|&id| id < 10));
         assert!(nearest_body_vertices(&garment, &frames).unwrap().iter().any(|&id| id >= 10));
+    }
+
+    /// The simple version: a grid per region and frame.
+    fn by_grids(map: &ContactMap, garment: &Frames<f32>, body: &Frames<f32>) -> Vec<u32> {
+        let (n, width) = (garment.vertices(), <f32 as Real>::LANES);
+        let mut out = vec![0; garment.blocks() * n * width];
+        for block in 0..garment.blocks() {
+            for lane in 0..garment.lanes_used() {
+                let (cloth, skin) = (lane_points(garment, block, lane), lane_points(body, block, lane));
+                for region in &map.regions {
+                    let mut ids = region.body.ids().to_vec();
+                    ids.extend(map.body_count as u32..(map.body_count + map.obstacle_count) as u32);
+                    ids.sort_unstable();
+                    let grid = NearestGrid::new(&ids.iter().map(|&id| skin[id as usize]).collect::<Vec<_>>());
+                    for &v in &region.garment {
+                        let at = (block * n + v as usize) * width + lane;
+                        out[at] = ids[grid.nearest(&cloth[v as usize]).unwrap().0 as usize];
+                        if lane + 1 == garment.lanes_used() {
+                            let found = out[at];
+                            out[at..][..width - lane].fill(found);
+                        }
+                    }
+                }
+            }
+        }
+        out
+    }
+
+    #[test]
+    fn it_equals_a_grid_per_region_and_frame_with_and_without_an_obstacle() {
+        let wave = |i: usize, k: usize, f: usize| ((i * 7 + k * 13) as f64 * 0.37 + f as f64 * 0.3).sin();
+        let skin = |f: usize| -> Vec<Vec3> { (0..400).map(|i| Vec3::from_fn(|k, _| 0.3 * wave(i, k, f))).collect() };
+        let shirt = |f: usize| -> Vec<Vec3> {
+            (0..90).map(|i| Vec3::from_fn(|k, _| 0.33 * wave(4 * i, k, f) + 0.01 * f as f64)).collect()
+        };
+        let weights = BlendWeights::from_rows((0..90).map(|i| vec![(i as u16 % 3, 1.0)]));
+        for obstacles in [0, 70] {
+            let map = ContactMap::new(&shirt(0), &weights, &skin(0), 0.05).unwrap().with_obstacle(obstacles);
+            assert!(map.regions.len() == 3 && map.regions.iter().all(|r| (20..400).contains(&r.body.ids().len())));
+            for lanes in [1, 5, 16] {
+                let mut garment = Frames::<f32>::zeros(2, 90, lanes);
+                let mut body = Frames::<f32>::zeros(2, 400 + obstacles, lanes);
+                for f in 0..2 * lanes {
+                    garment.set_frame(f / lanes, f % lanes, &shirt(f)).unwrap();
+                    let mut points = skin(f);
+                    points.extend((0..obstacles).map(|i| Vec3::from_fn(|k, _| 0.35 * wave(i, k, 2 * f))));
+                    body.set_frame(f / lanes, f % lanes, &points).unwrap();
+                }
+                assert_eq!(map.nearest(&garment, &body).unwrap(), by_grids(&map, &garment, &body));
+            }
+        }
     }
 
     #[test]

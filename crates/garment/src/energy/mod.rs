@@ -21,7 +21,7 @@ pub use attachment::Attachment;
 pub use bending::{Bending, RestAngle};
 pub use chamfer::{Chamfer, ScanCloud};
 pub use collision::{Collision, ContactOptions, Touch, nearest_body_vertices};
-pub(crate) use collision::{NoNearest, lane_points, nearest_of_all};
+pub(crate) use collision::{NoNearest, lane_points};
 pub use friction::Friction;
 pub use gravity::Gravity;
 pub use inertia::{Inertia, InertiaRule};
