@@ -1,5 +1,6 @@
 //! Attachment: springs from held vertices (a waistband, straps) to where the body carries them.
 
+use super::single::{Single, SingleTerm, check_single};
 use super::tangent::{EnergyTangent, Stencil, Tangent, isotropic};
 use super::{EnergyTerm, MAX_LANES, State, add_blocks, add_row, check_same_frames, needed, row};
 use crate::GarmentRest;
@@ -74,6 +75,27 @@ impl<T: MaterialReal> EnergyTerm<T> for Attachment<T> {
             springs(held, T::of(weight), x.block(b), targets.block(b), &mut energy, wanted, part);
             Ok(energy)
         })
+    }
+}
+
+impl SingleTerm for Attachment<f64> {
+    fn add_single(&self, pose: &Single<'_>, weight: f64, mut gradient: Option<&mut [f64]>) -> Result<f64> {
+        pose.check("attachment", self.vertex_count, gradient.as_deref())?;
+        if self.vertices.is_empty() {
+            return Ok(0.0);
+        }
+        let targets = needed("attachment", "targets of the held vertices", pose.targets)?;
+        Error::check_length("targets of attachment", 3 * self.vertices.len(), targets.len())?;
+        let mut energy = 0.0;
+        for ((&v, k), target) in self.vertices.iter().zip(&self.stiffness).zip(targets.chunks_exact(3)) {
+            let (k, at) = (weight * k, 3 * v as usize);
+            let r: [f64; 3] = std::array::from_fn(|axis| pose.positions[at + axis] - target[axis]);
+            energy += 0.5 * k * (r[0] * r[0] + r[1] * r[1] + r[2] * r[2]);
+            if let Some(gradient) = gradient.as_deref_mut() {
+                (0..3).for_each(|axis| gradient[at + axis] += k * r[axis]);
+            }
+        }
+        check_single("attachment", pose.positions, energy)
     }
 }
 

@@ -1,9 +1,10 @@
 //! Bending energy (Eq. 7): Σ k l²/(8A) (τ − τ_T)² over hinges, with the material's k.
 
+mod single;
 mod tangent;
 
 use super::arc_tangent::arc_tangent;
-use super::{CHUNK, EnergyTerm, MAX_LANES, State, add_blocks, add_row, pad_to_chunks, row};
+use super::{CHUNK, EnergyTerm, MAX_LANES, Row, State, add_blocks, add_row, pad_to_chunks, row};
 use crate::{GarmentRest, RestHinge};
 use caphy_core::array::Out;
 use caphy_core::lanes::Frames;
@@ -209,53 +210,89 @@ impl<T: Real> Input<T> {
     }
 }
 
+/// Angle, length and what [`forces`] needs (`[11][lane]`) of the hinges in a register's lanes, vertices `[xyz][lane]`.
+#[inline(always)]
+fn geometry<T: Real>(
+    [x0, x1, x2, x3]: [&[T]; 4],
+    angle: &mut [T; MAX_LANES],
+    length: &mut [T; MAX_LANES],
+    keep: &mut [T],
+) {
+    let lanes = T::LANES;
+    // Keeps divisions finite for collapsed hinges: far below any square of a real length or area.
+    let tiny = T::of(1e-30);
+    let floor = T::of(SMALLEST_HEIGHT * SMALLEST_HEIGHT);
+    for l in 0..lanes {
+        let (m, n) = (lanes + l, 2 * lanes + l);
+        let (ex, ey, ez) = (x1[l] - x0[l], x1[m] - x0[m], x1[n] - x0[n]);
+        let (ax, ay, az) = (x2[l] - x0[l], x2[m] - x0[m], x2[n] - x0[n]);
+        let (bx, by, bz) = (x3[l] - x0[l], x3[m] - x0[m], x3[n] - x0[n]);
+        // Normals n0 = e × a, n1 = b × e: twice the faces' areas long.
+        let (px, py, pz) = (ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax);
+        let (qx, qy, qz) = (by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex);
+        let ee = ex * ex + ey * ey + ez * ez;
+        let edge = ee.sqrt();
+        // −ê·(n0 × n1) = |e| n0·b, see `dihedral_angle`.
+        angle[l] = arc_tangent(edge * (px * bx + py * by + pz * bz), px * qx + py * qy + pz * qz);
+        length[l] = edge;
+        let (pp, qq) = (px * px + py * py + pz * pz, qx * qx + qy * qy + qz * qz);
+        // |n| = |e| h, so N/h = n |e| / |n|², with h not below its floor.
+        let least = floor * ee * ee + tiny;
+        let sp = edge / if pp > least { pp } else { least };
+        let sq = edge / if qq > least { qq } else { least };
+        let inverse = T::one() / (ee + tiny);
+        let direction = edge * inverse;
+        keep[l] = px * sp;
+        keep[lanes + l] = py * sp;
+        keep[2 * lanes + l] = pz * sp;
+        keep[3 * lanes + l] = qx * sq;
+        keep[4 * lanes + l] = qy * sq;
+        keep[5 * lanes + l] = qz * sq;
+        keep[6 * lanes + l] = (ax * ex + ay * ey + az * ez) * inverse;
+        keep[7 * lanes + l] = (bx * ex + by * ey + bz * ez) * inverse;
+        keep[8 * lanes + l] = ex * direction;
+        keep[9 * lanes + l] = ey * direction;
+        keep[10 * lanes + l] = ez * direction;
+    }
+}
+
+/// Forces on the four vertices of the hinges in a register's lanes, from dE/dτ and dE/dl.
+#[inline(always)]
+fn forces<T: Real>(turn: &[T; MAX_LANES], pull: &[T; MAX_LANES], kept: &[T]) -> [Row<T>; 4] {
+    let lanes = T::LANES;
+    let mut g0 = [T::zero(); 3 * MAX_LANES];
+    let mut g1 = [T::zero(); 3 * MAX_LANES];
+    let mut g2 = [T::zero(); 3 * MAX_LANES];
+    let mut g3 = [T::zero(); 3 * MAX_LANES];
+    for axis in 0..3 {
+        for l in 0..lanes {
+            let i = axis * lanes + l;
+            let (a, b) = (turn[l] * kept[i], turn[l] * kept[3 * lanes + i]);
+            // The foot of each height shares the opposite of its force between the edge's ends.
+            let along = kept[6 * lanes + l] * a + kept[7 * lanes + l] * b;
+            let stretch = pull[l] * kept[8 * lanes + i];
+            g2[i] = a;
+            g3[i] = b;
+            g1[i] = stretch - along;
+            g0[i] = along - a - b - stretch;
+        }
+    }
+    [g0, g1, g2, g3]
+}
+
 simd_kernel! {
     /// Angle and length of each hinge, the rest quantities spread over lanes, and what [`scatter`] needs to `kept`
     /// `[hinge][11][lane]`.
     fn measure<T>(chunk: &[Element<T>], current: bool, x: &[T], input: &mut Input<T>, kept: &mut [T]) {
         let lanes = T::LANES;
         let count = CHUNK * lanes;
-        // Keeps divisions finite for collapsed hinges: far below any square of a real length or area.
-        let tiny = T::of(1e-30);
-        let floor = T::of(SMALLEST_HEIGHT * SMALLEST_HEIGHT);
         for (i, hinge) in chunk.iter().enumerate() {
             let [x0, x1, x2, x3] = hinge.vertices;
             let (x0, x1, x2, x3) = (row(x, x0), row(x, x1), row(x, x2), row(x, x3));
             let mut angle = [T::zero(); MAX_LANES];
             let mut length = [T::zero(); MAX_LANES];
             let keep = &mut kept[i * KEPT * lanes..][..KEPT * lanes];
-            for l in 0..lanes {
-                let (m, n) = (lanes + l, 2 * lanes + l);
-                let (ex, ey, ez) = (x1[l] - x0[l], x1[m] - x0[m], x1[n] - x0[n]);
-                let (ax, ay, az) = (x2[l] - x0[l], x2[m] - x0[m], x2[n] - x0[n]);
-                let (bx, by, bz) = (x3[l] - x0[l], x3[m] - x0[m], x3[n] - x0[n]);
-                // Normals n0 = e × a, n1 = b × e: twice the faces' areas long.
-                let (px, py, pz) = (ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax);
-                let (qx, qy, qz) = (by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex);
-                let ee = ex * ex + ey * ey + ez * ez;
-                let edge = ee.sqrt();
-                // −ê·(n0 × n1) = |e| n0·b, see `dihedral_angle`.
-                angle[l] = arc_tangent(edge * (px * bx + py * by + pz * bz), px * qx + py * qy + pz * qz);
-                length[l] = edge;
-                let (pp, qq) = (px * px + py * py + pz * pz, qx * qx + qy * qy + qz * qz);
-                // |n| = |e| h, so N/h = n |e| / |n|², with h not below its floor.
-                let least = floor * ee * ee + tiny;
-                let sp = edge / if pp > least { pp } else { least };
-                let sq = edge / if qq > least { qq } else { least };
-                let inverse = T::one() / (ee + tiny);
-                let direction = edge * inverse;
-                keep[l] = px * sp;
-                keep[lanes + l] = py * sp;
-                keep[2 * lanes + l] = pz * sp;
-                keep[3 * lanes + l] = qx * sq;
-                keep[4 * lanes + l] = qy * sq;
-                keep[5 * lanes + l] = qz * sq;
-                keep[6 * lanes + l] = (ax * ex + ay * ey + az * ez) * inverse;
-                keep[7 * lanes + l] = (bx * ex + by * ey + bz * ez) * inverse;
-                keep[8 * lanes + l] = ex * direction;
-                keep[9 * lanes + l] = ey * direction;
-                keep[10 * lanes + l] = ez * direction;
-            }
+            geometry([x0, x1, x2, x3], &mut angle, &mut length, keep);
             let at = i * lanes;
             input.angle[at..][..lanes].copy_from_slice(&angle[..lanes]);
             if current {
@@ -323,23 +360,7 @@ simd_kernel! {
                 turn[l] = factor * length[l] * length[l] * fold * (k[l] + k[l] + by_angle[l] * fold);
                 pull[l] = flow * factor * fold * fold * length[l] * (k[l] + k[l] + by_length[l] * length[l]);
             }
-            let mut g0 = [T::zero(); 3 * MAX_LANES];
-            let mut g1 = [T::zero(); 3 * MAX_LANES];
-            let mut g2 = [T::zero(); 3 * MAX_LANES];
-            let mut g3 = [T::zero(); 3 * MAX_LANES];
-            for axis in 0..3 {
-                for l in 0..lanes {
-                    let i = axis * lanes + l;
-                    let (a, b) = (turn[l] * kept[i], turn[l] * kept[3 * lanes + i]);
-                    // The foot of each height shares the opposite of its force between the edge's ends.
-                    let along = kept[6 * lanes + l] * a + kept[7 * lanes + l] * b;
-                    let stretch = pull[l] * kept[8 * lanes + i];
-                    g2[i] = a;
-                    g3[i] = b;
-                    g1[i] = stretch - along;
-                    g0[i] = along - a - b - stretch;
-                }
-            }
+            let [g0, g1, g2, g3] = forces(&turn, &pull, kept);
             let [x0, x1, x2, x3] = hinge.vertices;
             add_row(gradient, x0, &g0);
             add_row(gradient, x1, &g1);

@@ -1,5 +1,6 @@
 //! Body collision: a penalty of vertices that come closer to the body's surface than a margin.
 
+use super::single::{Single, SingleTerm, check_single};
 use super::tangent::{EnergyTangent, Stencil, Tangent, only_frame};
 use super::{BodyState, EnergyTerm, MAX_LANES, State, add_blocks, add_row, check_same_frames, needed, row};
 use crate::GarmentRest;
@@ -153,6 +154,32 @@ impl Collision<f64> {
     }
 }
 
+impl SingleTerm for Collision<f64> {
+    fn add_single(&self, pose: &Single<'_>, weight: f64, mut gradient: Option<&mut [f64]>) -> Result<f64> {
+        pose.check("collision", self.weights.len(), gradient.as_deref())?;
+        let body = needed("collision", "a posed body", pose.body)?;
+        Error::check_length("nearest body vertices, one per garment vertex", self.weights.len(), body.nearest.len())?;
+        let mut energy = 0.0;
+        for (v, ((x, &b), w)) in pose.positions.chunks_exact(3).zip(body.nearest).zip(&self.weights).enumerate() {
+            let (Some(p), Some(n)) = (body.positions.get(b as usize), body.normals.get(b as usize)) else {
+                return Err(named_beyond(b, v, body.positions.len().min(body.normals.len())));
+            };
+            let d = n[0] * (x[0] - p[0]) + n[1] * (x[1] - p[1]) + n[2] * (x[2] - p[2]);
+            // Written so that NaN counts as depth and is found out.
+            if d >= self.margin {
+                continue;
+            }
+            let depth = self.margin - d;
+            let square = w * weight * depth * depth;
+            energy += square * depth;
+            if let Some(gradient) = gradient.as_deref_mut() {
+                (0..3).for_each(|k| gradient[3 * v + k] -= 3.0 * square * n[k]);
+            }
+        }
+        check_single("collision", pose.positions, energy)
+    }
+}
+
 /// How far beyond the margin steps see contact coming, and how deep it then counts, as shares of the margin.
 const NEAR: f64 = 0.5;
 const LIGHT: f64 = 0.1;
@@ -203,13 +230,17 @@ fn check_nearest<T: Real>(x: &Frames<T>, body: &BodyState<'_, T>, nearest: &[u32
     let n = body.positions.vertices();
     match nearest.iter().position(|&id| id as usize >= n) {
         None => Ok(()),
-        Some(at) => Err(Error::mesh(
-            "body",
-            format!("vertex {}", nearest[at]),
-            format!("is named as nearest at index {at} but {n} body vertices are posed"),
-            "search again after changing the posed part of the body",
-        )),
+        Some(at) => Err(named_beyond(nearest[at], at, n)),
     }
+}
+
+fn named_beyond(body_vertex: u32, at: usize, posed: usize) -> Error {
+    Error::mesh(
+        "body",
+        format!("vertex {body_vertex}"),
+        format!("is named as nearest at index {at} but {posed} body vertices are posed"),
+        "search again after changing the posed part of the body",
+    )
 }
 
 /// Nearest body vertex of each garment vertex, `[block][garment vertex][lane]`, exact; spare lanes repeat the last frame.
@@ -298,7 +329,7 @@ pub(crate) fn nearest_of_all<T: Real>(
 }
 
 #[inline(always)]
-pub(super) fn square_distance<T: Real>(a: &[T; 3], b: &[T; 3]) -> T {
+pub(crate) fn square_distance<T: Real>(a: &[T; 3], b: &[T; 3]) -> T {
     let (x, y, z) = (a[0] - b[0], a[1] - b[1], a[2] - b[2]);
     x * x + y * y + z * z
 }

@@ -1,5 +1,6 @@
 //! Lagged Coulomb friction: vertices that touch the body resist sliding along it.
 
+use super::single::{Single, SingleTerm, check_single};
 use super::tangent::{EnergyTangent, Stencil, Tangent, clamp_2x2, only_frame};
 use super::{EnergyTerm, MAX_LANES, State, Touch, add_blocks};
 use caphy_core::lanes::Frames;
@@ -87,6 +88,11 @@ impl Friction {
         earlier.contacts.iter().for_each(|c| limits[c.vertex as usize] -= c.normal * c.limit);
         limits.iter().map(|l| l.norm()).fold(0.0, f64::max)
     }
+    /// φ(s) and φ′(s)/s.
+    fn potential(&self, s: f64) -> (f64, f64) {
+        let d = self.slip;
+        if s < d { (s * s / d - s * s * s / (3.0 * d * d), (2.0 - s / d) / d) } else { (s - d / 3.0, 1.0 / s) }
+    }
     fn slide(contact: &Contact, x: &[[f64; 3]]) -> Vec3 {
         let d = Vec3::from(x[contact.vertex as usize]) - contact.anchor;
         d - contact.normal * contact.normal.dot(&d)
@@ -110,13 +116,7 @@ impl EnergyTerm<f64> for Friction {
             let mut part = part;
             for c in &self.contacts {
                 let u = Self::slide(c, &points);
-                let s = u.norm();
-                let d = self.slip;
-                let (phi, over_s) = if s < d {
-                    (s * s / d - s * s * s / (3.0 * d * d), (2.0 - s / d) / d)
-                } else {
-                    (s - d / 3.0, 1.0 / s)
-                };
+                let (phi, over_s) = self.potential(u.norm());
                 energy += weight * c.limit * phi;
                 if let Some(part) = part.as_deref_mut() {
                     let force = u * (weight * c.limit * over_s);
@@ -131,6 +131,26 @@ impl EnergyTerm<f64> for Friction {
             out.fill(energy);
             Ok(out)
         })
+    }
+}
+
+impl SingleTerm for Friction {
+    fn add_single(&self, pose: &Single<'_>, weight: f64, mut gradient: Option<&mut [f64]>) -> Result<f64> {
+        pose.check("friction", self.vertex_count, gradient.as_deref())?;
+        let mut energy = 0.0;
+        for c in &self.contacts {
+            let at = 3 * c.vertex as usize;
+            let x = &pose.positions[at..at + 3];
+            let d = Vec3::new(x[0], x[1], x[2]) - c.anchor;
+            let u = d - c.normal * c.normal.dot(&d);
+            let (phi, over_s) = self.potential(u.norm());
+            energy += weight * c.limit * phi;
+            if let Some(gradient) = gradient.as_deref_mut() {
+                let force = u * (weight * c.limit * over_s);
+                (0..3).for_each(|k| gradient[at + k] += force[k]);
+            }
+        }
+        check_single("friction", pose.positions, energy)
     }
 }
 

@@ -1,5 +1,6 @@
 //! Gravity: E = −Σ m g·x.
 
+use super::single::{Single, SingleTerm, check_single};
 use super::{EnergyTangent, EnergyTerm, MAX_LANES, State, Stencil, Tangent, add_blocks, row};
 use crate::GarmentRest;
 use caphy_core::lanes::Frames;
@@ -49,6 +50,21 @@ impl<T: MaterialReal> EnergyTerm<T> for Gravity<T> {
             }
             Ok(energy)
         })
+    }
+}
+
+impl SingleTerm for Gravity<f64> {
+    fn add_single(&self, pose: &Single<'_>, weight: f64, gradient: Option<&mut [f64]>) -> Result<f64> {
+        pose.check("gravity", self.masses.len(), gradient.as_deref())?;
+        let pull = self.acceleration.map(|g| -g * weight);
+        let energy = pose.positions.chunks_exact(3).zip(&self.masses);
+        let energy = energy.map(|(p, m)| m * (pull[0] * p[0] + pull[1] * p[1] + pull[2] * p[2])).sum();
+        if let Some(gradient) = gradient {
+            for (g, m) in gradient.chunks_exact_mut(3).zip(&self.masses) {
+                (0..3).for_each(|k| g[k] += m * pull[k]);
+            }
+        }
+        check_single("gravity", pose.positions, energy)
     }
 }
 

@@ -14,6 +14,7 @@ pub mod gravity;
 pub mod inertia;
 pub mod layering;
 pub mod normals;
+pub mod single;
 pub mod strain;
 pub mod tangent;
 
@@ -21,12 +22,13 @@ pub use attachment::Attachment;
 pub use bending::{Bending, RestAngle};
 pub use chamfer::{Chamfer, ScanCloud};
 pub use collision::{Collision, ContactOptions, Touch, nearest_body_vertices};
-pub(crate) use collision::{NoNearest, lane_points};
+pub(crate) use collision::{NoNearest, lane_points, square_distance};
 pub use friction::Friction;
 pub use gravity::Gravity;
 pub use inertia::{Inertia, InertiaRule};
 pub use layering::{Layer, Layering, LayeringOptions, LayeringOrder};
 pub use normals::frame_normals;
+pub use single::{Single, SingleBody, SingleTerm};
 pub use strain::Strain;
 pub use tangent::{EnergyTangent, Stencil, Tangent};
 

@@ -1,5 +1,6 @@
 //! Strain energy (Eqs. 3-5): Σ A ψ(G) over triangles, with the material's ψ and stress.
 
+mod single;
 mod tangent;
 
 use super::{CHUNK, EnergyTerm, MAX_LANES, State, add_blocks, add_row, pad_to_chunks, row};

@@ -15,7 +15,19 @@ pub struct Dynamics {
     positions: Vec<Vec3>,
     velocity: Vec<Vec3>,
     anchors: Option<Vec<Vec3>>,
+    /// Body vertices of the last step.
+    pairs: Option<Vec<u32>>,
     step: f64,
+}
+
+/// Where a solve of the next pose may start: the garment moved as its skinned self moves, x + (skinned now − skinned before) [m].
+///
+/// # Errors
+/// [`Error::Length`] for lists of different lengths.
+pub fn carried_along(x: &[Vec3], skinned_before: &[Vec3], skinned_now: &[Vec3]) -> Result<Vec<Vec3>> {
+    Error::check_length("skinned positions before", x.len(), skinned_before.len())?;
+    Error::check_length("skinned positions now", x.len(), skinned_now.len())?;
+    Ok(x.iter().zip(skinned_before).zip(skinned_now).map(|((x, before), now)| x + (now - before)).collect())
 }
 
 impl Dynamics {
@@ -29,7 +41,7 @@ impl Dynamics {
         }
         let velocity = velocity.unwrap_or_else(|| vec![Vec3::zeros(); positions.len()]);
         Error::check_length("velocities, one per vertex", positions.len(), velocity.len())?;
-        Ok(Self { positions, velocity, anchors: None, step })
+        Ok(Self { positions, velocity, anchors: None, pairs: None, step })
     }
     /// Present positions [m].
     pub fn positions(&self) -> &[Vec3] {
@@ -54,11 +66,12 @@ impl Dynamics {
         let momentum = Momentum { step: self.step, now: &self.positions, velocity: &self.velocity };
         let anchors = scene.anchors.or(self.anchors.as_deref());
         let scene = Scene { momentum: Some(momentum), anchors, ..*scene };
-        let solution = solver.solve(&scene, start.unwrap_or(&self.positions), progress)?;
+        let solution = solver.solve_with(&scene, start.unwrap_or(&self.positions), self.pairs.as_deref(), progress)?;
         self.velocity =
             solution.positions.iter().zip(&self.positions).map(|(x, before)| (x - before) / self.step).collect();
         self.positions.clone_from(&solution.positions);
         self.anchors = Some(solution.anchors.clone());
+        self.pairs = solution.pairs().map(<[u32]>::to_vec);
         Ok(solution)
     }
 }

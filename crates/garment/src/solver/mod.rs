@@ -6,6 +6,7 @@
 //! * [`Solver::solve`]: Newton steps on the energies with a sparse factorisation ([`factor`]), contact pairs and friction frozen
 //!   within a round ([`SolverSettings`]), the force residual [N] as the measure.
 //! * [`Solver::attach_and_release`]: the same from a scan, first pulled to its points, then let go.
+//! * [`Solver::solve_from`]: the next pose of a sequence.
 //! * [`Dynamics`]: backward Euler steps of a sequence.
 //! * [`Solver::linearise`]: dx*/dΘ and dx*/d(anything) by the implicit function theorem ([`sensitivity`]).
 //!
@@ -21,6 +22,7 @@
 mod dense;
 pub mod dynamics;
 pub mod factor;
+mod lbfgs;
 mod modes;
 mod newton;
 mod ordering;
@@ -31,8 +33,9 @@ mod settings;
 mod solution;
 pub mod sparse;
 mod state;
+mod vector;
 
-pub use dynamics::Dynamics;
+pub use dynamics::{Dynamics, carried_along};
 pub use ordering::Analysis;
 pub use scene::{Momentum, Obstacle, Scene, Springs};
 pub use sensitivity::Linearisation;
@@ -40,8 +43,9 @@ pub use settings::{Forces, SolverSettings};
 pub use solution::{Method, Outcome, Progress, SoftMode, Solution, SolveReport};
 
 use crate::GarmentRest;
-use crate::energy::{Attachment, Bending, Collision, EnergyTangent, Gravity, Strain};
+use crate::energy::{Attachment, Bending, Collision, EnergyTangent, Gravity, State, Strain};
 use caphy_core::Result;
+use caphy_core::lanes::Frames;
 use caphy_core::material::{HingeLength, MaterialModel};
 use sparse::Pattern;
 use std::sync::Arc;
@@ -158,6 +162,12 @@ impl Solver {
     fn conservative(&self) -> bool {
         let facts = self.material.describe();
         !facts.stiffness_frozen && facts.hinge_length != HingeLength::CurrentHeld
+    }
+    /// Holds the fabric's stiffness as it is at these positions.
+    fn hold(&mut self, x: &Frames<f64>) -> Result<()> {
+        let state = State::new(x);
+        self.strain.hold(&state)?;
+        self.bending.hold(&state)
     }
     fn release(&mut self) {
         self.strain.release();

@@ -4,7 +4,8 @@ use super::Solver;
 use super::factor::{Factor, Kind};
 use super::solution::Progress;
 use super::sparse::BlockMatrix;
-use super::state::{Frozen, Prepared, Workspace, largest, total};
+use super::state::{Frozen, Prepared, Workspace, total};
+use super::vector::{dot, largest, moved};
 use crate::energy::Tangent;
 use caphy_core::{Error, Result};
 
@@ -16,6 +17,9 @@ const ROUNDING: f64 = 1e-13;
 const SHIFTS: usize = 3;
 /// Most steps between two tries of a matrix that failed before.
 const LONGEST_WAIT: usize = 16;
+
+/// Forces below which steps with the unsymmetric derivative are tried, in weights of the heaviest vertex.
+const UNSYMMETRIC: f64 = 10.0;
 
 /// How a run of steps ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,7 +44,6 @@ pub(super) struct Newton {
     pub(super) iterations: usize,
     pub(super) factorisations: usize,
     pub(super) damped: usize,
-    first_residual: Option<f64>,
 }
 
 /// Waits longer after every failure.
@@ -67,13 +70,6 @@ impl Patience {
     }
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-fn moved(x: &[f64], step: f64, d: &[f64]) -> Vec<f64> {
-    x.iter().zip(d).map(|(x, d)| x + step * d).collect()
-}
-
 impl Newton {
     pub(super) fn new(solver: &Solver) -> Self {
         let pull = solver.forces.gravity.norm().max(1.0);
@@ -88,7 +84,6 @@ impl Newton {
             iterations: 0,
             factorisations: 0,
             damped: 0,
-            first_residual: None,
         }
     }
 
@@ -108,10 +103,7 @@ impl Newton {
         let mut failures = 0;
         for step in 0..=steps {
             if !conservative {
-                let frame = workspace.set(x).clone();
-                let state = crate::energy::State::new(&frame);
-                solver.strain.hold(&state)?;
-                solver.bending.hold(&state)?;
+                solver.hold(workspace.set(x))?;
             }
             let energies = workspace.evaluate(solver, prepared, frozen, x, Some(&mut g))?;
             let (residual, vertex) = largest(&g);
@@ -122,7 +114,6 @@ impl Newton {
                     "start from positions in metres that are not collapsed, and check the material's parameters",
                 ));
             }
-            let first = *self.first_residual.get_or_insert(residual);
             say(Progress { round: 0, iteration: self.iterations, residual_n: residual, energy_j: total(&energies) });
             if residual <= tolerance {
                 return Ok(Stop::Converged);
@@ -132,17 +123,14 @@ impl Newton {
             }
             self.iterations += 1;
             let gentle = solver.rest.vertex_masses.iter().copied().fold(0.0, f64::max) * solver.forces.gravity.norm();
-            if !conservative && residual < (0.1 * gentle).max(1e-2 * first) && self.unsymmetric.ready() {
+            if !conservative && residual < UNSYMMETRIC * gentle && self.unsymmetric.ready() {
                 if self.unsymmetric_step(solver, prepared, frozen, workspace, x, &g)? {
                     self.unsymmetric.succeeded();
                     continue;
                 }
                 self.unsymmetric.failed();
                 // The trial released the stiffness.
-                let frame = workspace.set(x).clone();
-                let state = crate::energy::State::new(&frame);
-                solver.strain.hold(&state)?;
-                solver.bending.hold(&state)?;
+                solver.hold(workspace.set(x))?;
             }
             let d = self.direction(solver, prepared, frozen, workspace, x, &g)?;
             let size: f64 = energies.iter().map(|e| e.1.abs()).sum();
@@ -238,8 +226,14 @@ impl Newton {
         for _ in 0..24 {
             let trial = moved(x, step, d);
             // Too far can be not finite: that is a reason for a shorter step, not an error.
-            let value = workspace.evaluate(solver, prepared, frozen, &trial, None).map_or(f64::INFINITY, |e| total(&e));
+            let mut value =
+                workspace.evaluate(solver, prepared, frozen, &trial, None).map_or(f64::INFINITY, |e| total(&e));
             let mut good = value <= energy + DECREASE * step * slope;
+            if !good && value.is_finite() {
+                // A hinge that folds through itself is no reason to stop before it.
+                value -= solver.bending.jump_between(x, &trial, solver.forces.weights[1])?;
+                good = value <= energy + DECREASE * step * slope;
+            }
             if !good && (value - energy).abs() <= noise {
                 // Below rounding of the energy the forces tell: the slope along d must have fallen.
                 let mut ahead = Vec::new();

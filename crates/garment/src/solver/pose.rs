@@ -1,14 +1,14 @@
 //! One pose (or one time step): rounds of Newton steps, contact pairs and friction renewed in between.
 
 use super::Solver;
+use super::lbfgs::{Balance, Limits, descend};
 use super::newton::{Newton, Stop};
 use super::scene::{Scene, Springs};
 use super::solution::{Method, Outcome, Progress, Solution, SolveReport};
-use super::state::{Frozen, Prepared, Workspace, largest, points_of, total};
+use super::state::{Frozen, Prepared, Workspace, flat, points_of, total};
+use super::vector::{largest, moved};
 use crate::energy::{Attachment, BodyState, Friction, State, Touch};
-use crate::relax::{RelaxReport, RelaxSettings, relax};
-use caphy_core::lanes::Frames;
-use caphy_core::{Error, Real, Result, Vec3};
+use caphy_core::{Error, Result, Vec3};
 
 /// Friction limits may be this share off when a solve ends.
 const FRICTION_AGREEMENT: f64 = 1e-3;
@@ -17,8 +17,18 @@ const FRICTION_AGREEMENT: f64 = 1e-3;
 const PREFERENCE: f64 = 0.03;
 /// Iterations of L-BFGS for one of Newton.
 const LBFGS_STEPS: usize = 20;
-/// Evaluations of L-BFGS between two searches for contact pairs: cloth moves by a few millimetres at most in between.
-const LBFGS_REFRESH: usize = 4;
+/// L-BFGS looks for contact pairs again when a vertex has gone so far [m]: a fraction of the distance of body vertices.
+const SEARCH_M: f64 = 1e-3;
+
+/// Longest move of a vertex in one step of L-BFGS [m]: below the gap kept from the body, so that nothing jumps through a limb.
+const LBFGS_MOVE_M: f64 = 5e-3;
+
+/// Steps of L-BFGS between two looks at the stiffness, where forces are not a gradient unless it is held.
+const HOLD_STEPS: usize = 30;
+/// L-BFGS steps within which forces must fall noticeably before Newton's steps take over.
+const LBFGS_PATIENCE: usize = 500;
+/// Force at which Newton's steps take over from L-BFGS, as a share of the weight of the lightest vertices.
+const HANDOVER: f64 = 1e-2;
 
 /// Answers of a renewal.
 struct Renewed {
@@ -39,15 +49,42 @@ impl Solver {
     /// [`Error::Length`] and [`Error::NonFinite`] for a bad start, [`Error::Config`] for a scene without what a term needs,
     /// [`Error::Numerics`] where forces are not finite, errors of the material and of the scene's search.
     pub fn solve(&mut self, scene: &Scene<'_>, start: &[Vec3], progress: &dyn Fn(Progress)) -> Result<Solution> {
+        self.solve_with(scene, start, None, progress)
+    }
+
+    /// The next pose of a sequence: [`Solver::solve`] with the contacts of the pose before, so that cloth that two limbs press between
+    /// them stays on its side. `start` [m] is the garment carried along with the body ([`super::carried_along`]).
+    ///
+    /// How long the garment is relaxed before Newton's steps follows from how far from rest it starts.
+    ///
+    /// # Errors
+    /// As [`Solver::solve`].
+    pub fn solve_from(
+        &mut self,
+        previous: &Solution,
+        scene: &Scene<'_>,
+        start: &[Vec3],
+        progress: &dyn Fn(Progress),
+    ) -> Result<Solution> {
+        self.solve_with(scene, start, previous.pairs(), progress)
+    }
+
+    pub(super) fn solve_with(
+        &mut self,
+        scene: &Scene<'_>,
+        start: &[Vec3],
+        pairs: Option<&[u32]>,
+        progress: &dyn Fn(Progress),
+    ) -> Result<Solution> {
         Error::check_length("start of the solver", self.vertex_count(), start.len())?;
-        let mut x: Vec<f64> = start.iter().flat_map(|p| [p.x, p.y, p.z]).collect();
+        let mut x = flat(start);
         Error::check_finite("start of the solver", &x)?;
         self.release();
         let prepared = Prepared::new(self, scene)?;
         let answer = if self.vertex_count() > self.settings.largest_factorised {
-            self.solve_lbfgs(&prepared, start, &mut x, progress)
+            self.solve_lbfgs(&prepared, (start, pairs), &mut x, progress)
         } else {
-            self.solve_newton(&prepared, start, &mut x, progress)
+            self.solve_newton(&prepared, (start, pairs), &mut x, progress)
         };
         self.release();
         answer
@@ -85,26 +122,29 @@ impl Solver {
     fn solve_newton(
         &mut self,
         prepared: &Prepared<'_>,
-        start: &[Vec3],
+        (start, pairs): (&[Vec3], Option<&[u32]>),
         x: &mut Vec<f64>,
         progress: &dyn Fn(Progress),
     ) -> Result<Solution> {
         let settings = self.settings;
         let mut workspace = Workspace::new(self.vertex_count());
         let mut newton = Newton::new(self);
-        let nearest = prepared.search(workspace.set(x))?;
-        let mut frozen = Frozen { nearest, friction: Friction::none(self.vertex_count()) };
+        let mut frozen = self.first_pairs(prepared, pairs, &mut workspace, x)?;
         frozen.friction = self.friction(prepared, &frozen, &mut workspace, x, start)?;
         let touching = prepared.scene.body.is_some();
-        if touching && prepared.scene.momentum.is_none() && settings.warm_steps > 0 {
+        if touching && settings.warm_steps > 0 {
+            let weight = self.rest.mass() * self.forces.gravity.norm() / self.vertex_count().max(1) as f64;
+            let tolerance = settings.tolerance_n.max(HANDOVER * weight);
             let mut warm = (x.clone(), frozen.clone());
             let steps = settings.warm_steps;
             // A start that is too wild for it is left to Newton's steps.
-            if self.lbfgs(prepared, start, &mut workspace, (&mut warm.0, &mut warm.1), steps, progress).is_ok()
+            if self
+                .lbfgs(prepared, start, &mut workspace, (&mut warm.0, &mut warm.1), (steps, tolerance), progress)
+                .is_ok()
                 && warm.0.iter().all(|x| x.is_finite())
             {
                 *x = warm.0;
-                frozen.nearest = prepared.search(workspace.set(x))?;
+                frozen = warm.1;
                 frozen.friction = self.friction(prepared, &frozen, &mut workspace, x, start)?;
             }
         }
@@ -158,68 +198,63 @@ impl Solver {
         self.finish(prepared, frozen, workspace, x, report)
     }
 
-    /// [`relax`] from `x`, with contact pairs and friction renewed every few evaluations.
+    /// [`descend`] from `x`, with contact pairs and friction renewed as the garment moves.
     fn lbfgs(
-        &self,
+        &mut self,
         prepared: &Prepared<'_>,
         start: &[Vec3],
         workspace: &mut Workspace,
         (x, frozen): (&mut Vec<f64>, &mut Frozen),
-        steps: usize,
+        (steps, tolerance_n): (usize, f64),
         progress: &dyn Fn(Progress),
-    ) -> Result<RelaxReport> {
-        let settings = self.settings;
-        let mut frames = workspace.set(x).clone();
-        let mut evaluations = 0;
-        let relaxing = RelaxSettings {
-            iterations: steps,
-            max_move_m: settings.max_move_m.min(RelaxSettings::default().max_move_m),
-            // The root mean square is below the largest force.
-            rest_force_n: settings.tolerance_n / (self.vertex_count().max(1) as f64).sqrt(),
-            ..RelaxSettings::default()
+    ) -> Result<(usize, f64)> {
+        let limits = Limits {
+            steps,
+            max_move_m: self.settings.max_move_m.min(LBFGS_MOVE_M),
+            tolerance_n,
+            patience: LBFGS_PATIENCE,
         };
-        let gradient = |x: &Frames<f64>, g: &mut Frames<f64>| -> Result<()> {
-            let values = values_of(x);
-            if evaluations % LBFGS_REFRESH == 0 {
-                frozen.nearest = prepared.search(x)?;
-                frozen.friction = self.friction(prepared, frozen, workspace, &values, start)?;
-            }
-            evaluations += 1;
-            let mut out = Vec::new();
-            let energies = workspace.evaluate(self, prepared, frozen, &values, Some(&mut out))?;
-            let (residual_n, energy_j) = (largest(&out).0, total(&energies));
-            progress(Progress { round: 0, iteration: evaluations, residual_n, energy_j });
-            for (lanes, value) in g.data_mut().chunks_exact_mut(<f64 as Real>::LANES).zip(out) {
-                lanes.fill(value);
-            }
-            Ok(())
+        let conservative = self.conservative();
+        let mut problem = Relaxing {
+            solver: self,
+            prepared,
+            start,
+            workspace,
+            frozen,
+            searched: Vec::new(),
+            held: 0,
+            conservative,
+            count: 0,
+            progress,
         };
-        let report = relax(&mut frames, &relaxing, gradient, &|_| {})?;
-        *x = values_of(&frames);
-        Ok(report)
+        let answer = descend(x, &limits, &mut problem);
+        self.release();
+        answer
     }
 
     fn solve_lbfgs(
         &mut self,
         prepared: &Prepared<'_>,
-        start: &[Vec3],
+        (start, pairs): (&[Vec3], Option<&[u32]>),
         x: &mut Vec<f64>,
         progress: &dyn Fn(Progress),
     ) -> Result<Solution> {
         let mut workspace = Workspace::new(self.vertex_count());
-        let mut frozen = Frozen { nearest: None, friction: Friction::none(self.vertex_count()) };
+        let mut frozen = self.first_pairs(prepared, pairs, &mut workspace, x)?;
         let steps = self.settings.iterations * LBFGS_STEPS;
-        let relaxed = self.lbfgs(prepared, start, &mut workspace, (x, &mut frozen), steps, progress)?;
-        let outcome = if relaxed.at_rest.iter().all(|&r| r) { Outcome::Converged } else { Outcome::IterationLimit };
+        let tolerance = self.settings.tolerance_n;
+        let (iterations, residual) =
+            self.lbfgs(prepared, start, &mut workspace, (x, &mut frozen), (steps, tolerance), progress)?;
+        let outcome = if residual <= self.settings.tolerance_n { Outcome::Converged } else { Outcome::IterationLimit };
         let report = SolveReport {
             outcome,
             method: Method::Lbfgs,
             residual_n: 0.0,
             residual_vertex: 0,
-            iterations: relaxed.iterations,
+            iterations,
             factorisations: 0,
             evaluations: 0,
-            rounds: workspace.evaluations.div_ceil(LBFGS_REFRESH),
+            rounds: 0,
             damped: 0,
             energies: Vec::new(),
             pairs_open: 0,
@@ -227,6 +262,50 @@ impl Solver {
             soft_modes: Vec::new(),
         };
         self.finish(prepared, frozen, workspace, x, report)
+    }
+
+    /// Contact pairs at the start, on the side where they were before.
+    fn first_pairs(
+        &self,
+        prepared: &Prepared<'_>,
+        pairs: Option<&[u32]>,
+        workspace: &mut Workspace,
+        x: &[f64],
+    ) -> Result<Frozen> {
+        let nearest = prepared.search(workspace.set(x))?;
+        let mut frozen = Frozen::new(nearest, Friction::none(self.vertex_count()));
+        if let (Some(old), Some(new)) = (pairs, frozen.nearest.clone())
+            && old.len() == new.len()
+            && old.iter().all(|&id| prepared.has_body_vertex(id))
+        {
+            let old = Frozen::new(Some(old.to_vec()), Friction::none(0));
+            frozen = self.kept(prepared, &old, new, workspace, x, 0.0)?.0;
+        }
+        Ok(frozen)
+    }
+
+    /// New pairs where they are clearly better than the old ones of touching vertices, and how many of those changed.
+    fn kept(
+        &self,
+        prepared: &Prepared<'_>,
+        old: &Frozen,
+        mut new: Vec<u32>,
+        workspace: &mut Workspace,
+        x: &[f64],
+        preference: f64,
+    ) -> Result<(Frozen, usize)> {
+        let mut changed = 0;
+        if let Some(before) = &old.nearest {
+            let mut touching = vec![false; self.vertex_count()];
+            let now = Frozen::new(Some(new.clone()), Friction::none(0));
+            for frozen in [old, &now] {
+                for t in self.touches(prepared, frozen, workspace, x)? {
+                    touching[t.vertex as usize] = true;
+                }
+            }
+            changed = prepared.keep_pairs(x, before, &mut new, &touching, preference);
+        }
+        Ok((Frozen::new(Some(new), Friction::none(self.vertex_count())), changed))
     }
 
     /// Residual, energies, contacts and soft modes at the end.
@@ -302,31 +381,10 @@ impl Solver {
         (x, start): (&[f64], &[Vec3]),
         patience: usize,
     ) -> Result<Renewed> {
-        let mut nearest = prepared.search(workspace.set(x))?;
-        let mut changed = 0;
-        if let (Some(new), Some(old), Some(body)) = (&mut nearest, &frozen.nearest, &prepared.scene.body) {
-            let with = |nearest: Vec<u32>| Frozen { nearest: Some(nearest), friction: Friction::none(0) };
-            let mut touching = vec![false; self.vertex_count()];
-            for pairs in [old, &*new] {
-                for t in self.touches(prepared, &with(pairs.clone()), workspace, x)? {
-                    touching[t.vertex as usize] = true;
-                }
-            }
-            let lanes = <f64 as Real>::LANES;
-            for (v, (new, old)) in new.chunks_exact_mut(lanes).zip(old.chunks_exact(lanes)).enumerate() {
-                if new[0] == old[0] || !touching[v] {
-                    continue;
-                }
-                let at = Vec3::new(x[3 * v], x[3 * v + 1], x[3 * v + 2]);
-                let distance = |id: u32| (body.positions.get(0, 0, id as usize) - at).norm();
-                if distance(old[0]) <= distance(new[0]) * (1.0 + PREFERENCE * patience as f64) {
-                    new.copy_from_slice(old);
-                } else {
-                    changed += 1;
-                }
-            }
-        }
-        let mut out = Frozen { nearest, friction: Friction::none(self.vertex_count()) };
+        let (mut out, changed) = match prepared.search(workspace.set(x))? {
+            Some(new) => self.kept(prepared, frozen, new, workspace, x, PREFERENCE * patience as f64)?,
+            None => (Frozen::new(None, Friction::none(self.vertex_count())), 0),
+        };
         out.friction = self.friction(prepared, &out, workspace, x, start)?;
         let friction_open = out.friction.change(&frozen.friction);
         let friction_limit = out.friction.change(&Friction::none(self.vertex_count()));
@@ -334,7 +392,51 @@ impl Solver {
     }
 }
 
-/// The only frame, flat.
-fn values_of(frames: &Frames<f64>) -> Vec<f64> {
-    frames.data().chunks_exact(<f64 as Real>::LANES).map(|lanes| lanes[0]).collect()
+/// A garment while [`descend`] moves it.
+struct Relaxing<'r, 's> {
+    solver: &'r mut Solver,
+    prepared: &'r Prepared<'s>,
+    start: &'r [Vec3],
+    workspace: &'r mut Workspace,
+    frozen: &'r mut Frozen,
+    /// Where contact pairs were last searched for.
+    searched: Vec<f64>,
+    /// Steps with the present stiffness.
+    held: usize,
+    conservative: bool,
+    count: usize,
+    progress: &'r dyn Fn(Progress),
+}
+
+impl Balance for Relaxing<'_, '_> {
+    fn forces(&mut self, x: &[f64], g: &mut Vec<f64>) -> Result<()> {
+        self.count += 1;
+        let energies = self.workspace.evaluate(self.solver, self.prepared, self.frozen, x, Some(g))?;
+        let (residual_n, energy_j) = (largest(g).0, total(&energies));
+        (self.progress)(Progress { round: 0, iteration: self.count, residual_n, energy_j });
+        Ok(())
+    }
+    fn renew(&mut self, x: &[f64]) -> Result<bool> {
+        let mut renewed = false;
+        if !self.conservative {
+            // In between, forces are the gradient of an energy.
+            if self.held.is_multiple_of(HOLD_STEPS) {
+                self.solver.hold(self.workspace.set(x))?;
+                renewed = true;
+            }
+            self.held += 1;
+        }
+        if self.prepared.scene.body.is_none() {
+            return Ok(renewed);
+        }
+        if !self.searched.is_empty() && largest(&moved(x, -1.0, &self.searched)).0 < SEARCH_M {
+            return Ok(renewed);
+        }
+        let Some(new) = self.prepared.search(self.workspace.set(x))? else { return Ok(renewed) };
+        let (kept, _) = self.solver.kept(self.prepared, self.frozen, new, self.workspace, x, 0.0)?;
+        self.searched = x.to_vec();
+        *self.frozen = kept;
+        self.frozen.friction = self.solver.friction(self.prepared, self.frozen, self.workspace, x, self.start)?;
+        Ok(true)
+    }
 }

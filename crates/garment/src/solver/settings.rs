@@ -13,8 +13,9 @@ pub struct SolverSettings {
     pub tolerance_n: f64,
     /// Most Newton steps over all rounds. Default 400.
     pub iterations: usize,
-    /// L-BFGS steps before the first Newton step of a quasi-static pose with a body. Default 1500: they cost as much as
-    /// some twenty Newton steps and find the contact pairs that those would stumble over one after the other.
+    /// Most L-BFGS steps before the first Newton step of a pose with a body. They end earlier near rest, or where forces no longer
+    /// fall. Default 6000: some two hundred cost as much as one Newton step, and they find the contact pairs and buckles
+    /// that Newton's would stumble over one after the other.
     pub warm_steps: usize,
     /// Longest move of a vertex in one step [m]. Default 20 mm: less than the radius of a wrist, so that nothing jumps through a
     /// limb.
@@ -38,7 +39,7 @@ impl Default for SolverSettings {
         Self {
             tolerance_n: 1e-8,
             iterations: 400,
-            warm_steps: 1500,
+            warm_steps: 6000,
             max_move_m: 0.02,
             steps_per_round: 6,
             rounds: 100,

@@ -98,6 +98,10 @@ pub struct Solution {
 }
 
 impl Solution {
+    /// Body vertex that each garment vertex is held to, `[garment vertex][lane]`.
+    pub(super) fn pairs(&self) -> Option<&[u32]> {
+        self.frozen.nearest.as_deref()
+    }
     /// Whether forces, pairs and friction all settled.
     pub fn converged(&self) -> bool {
         self.report.outcome == Outcome::Converged

@@ -4,11 +4,14 @@ use super::Solver;
 use super::scene::Scene;
 use super::settings::out_of_bounds;
 use crate::energy::{
-    Attachment, BodyState, EnergyTangent, Friction, Inertia, InertiaRule, State, Tangent, nearest_body_vertices,
+    Attachment, BodyState, EnergyTangent, Friction, Inertia, InertiaRule, Single, SingleBody, SingleTerm, State,
+    Tangent, lane_points, nearest_body_vertices, square_distance,
 };
 use caphy_core::lanes::Frames;
 use caphy_core::{Error, Real, Result, Vec3};
 
+/// A touching vertex changes to a surface that faces the other way when that is nearer by this share.
+const OTHER_SIDE: f64 = 1.0;
 const LANES: usize = <f64 as Real>::LANES;
 
 /// Contact pairs and friction of one round.
@@ -16,26 +19,47 @@ const LANES: usize = <f64 as Real>::LANES;
 pub(super) struct Frozen {
     /// Nearest body vertex, `[garment vertex][lane]`.
     pub(super) nearest: Option<Vec<u32>>,
+    /// The same per garment vertex.
+    single: Vec<u32>,
     pub(super) friction: Friction,
+}
+
+impl Frozen {
+    pub(super) fn new(nearest: Option<Vec<u32>>, friction: Friction) -> Self {
+        let single = nearest.iter().flatten().step_by(LANES).copied().collect();
+        Self { nearest, single, friction }
+    }
 }
 
 /// A scene in the layout of the energies.
 pub(super) struct Prepared<'a> {
     pub(super) scene: &'a Scene<'a>,
-    targets: Option<Frames<f64>>,
-    springs: Option<Frames<f64>>,
-    momentum: Option<(Attachment<f64>, Frames<f64>)>,
+    /// Body vertices and normals.
+    body: [Vec<[f64; 3]>; 2],
+    targets: Option<Vec<f64>>,
+    springs: Option<Vec<f64>>,
+    momentum: Option<(Attachment<f64>, Vec<f64>)>,
     /// Vertices that do not move.
     pub(super) fixed: Vec<bool>,
 }
 
-/// One frame.
-pub(super) fn frame_of(points: &[Vec3]) -> Result<Frames<f64>> {
-    let mut frames = Frames::zeros(1, points.len(), 1);
-    frames.set_frame(0, 0, points)?;
-    Ok(frames)
+/// A term with its weight and what its state holds beside the positions.
+pub(super) struct Term<'t> {
+    name: &'static str,
+    term: &'t dyn SolverTerm,
+    weight: f64,
+    body: Option<(BodyState<'t, f64>, SingleBody<'t>)>,
+    targets: Option<&'t [f64]>,
 }
 
+/// What a solver needs of an energy.
+pub(super) trait SolverTerm: EnergyTangent + SingleTerm {}
+impl<E: EnergyTangent + SingleTerm> SolverTerm for E {}
+
+/// Points one after the other.
+pub(super) fn flat(points: &[Vec3]) -> Vec<f64> {
+    points.iter().flat_map(|p| [p.x, p.y, p.z]).collect()
+}
 pub(super) fn points_of(x: &[f64]) -> Vec<Vec3> {
     x.chunks_exact(3).map(|p| Vec3::new(p[0], p[1], p[2])).collect()
 }
@@ -53,7 +77,7 @@ impl<'a> Prepared<'a> {
         let targets = match scene.targets {
             Some(targets) => {
                 Error::check_length("targets of held vertices", held.len(), targets.len())?;
-                Some(frame_of(targets)?)
+                Some(flat(targets))
             }
             None if held.is_empty() => None,
             None => {
@@ -67,7 +91,7 @@ impl<'a> Prepared<'a> {
         let springs = match &scene.springs {
             Some(springs) => {
                 Error::check_length("targets of springs", springs.attachment.vertices().len(), springs.targets.len())?;
-                Some(frame_of(springs.targets)?)
+                Some(flat(springs.targets))
             }
             None => None,
         };
@@ -80,7 +104,7 @@ impl<'a> Prepared<'a> {
                 }
                 let ahead: Vec<Vec3> = past.now.iter().zip(past.velocity).map(|(x, v)| x + v * past.step).collect();
                 let inertia = Inertia::<f64>::new(&solver.rest, past.step, InertiaRule::KnownVelocity)?;
-                Some((inertia.next_step()?, frame_of(&ahead)?))
+                Some((inertia.next_step()?, flat(&ahead)))
             }
             None => None,
         };
@@ -97,41 +121,45 @@ impl<'a> Prepared<'a> {
             };
             *slot = true;
         }
-        Ok(Self { scene, targets, springs, momentum, fixed })
+        let mut body = [Vec::new(), Vec::new()];
+        if let Some(of) = &scene.body {
+            for frames in [of.positions, of.normals] {
+                Error::check_length("frames of the body", 1, frames.frames())?;
+            }
+            Error::check_length("body normals", of.positions.vertices(), of.normals.vertices())?;
+            body = [of.positions, of.normals].map(|frames| lane_points(frames, 0, 0));
+        }
+        Ok(Self { scene, body, targets, springs, momentum, fixed })
     }
 
-    /// Terms with their states and weights at `x`.
-    pub(super) fn terms<'t>(
-        &'t self,
-        solver: &'t Solver,
-        frozen: &'t Frozen,
-        x: &'t Frames<f64>,
-    ) -> Vec<(&'static str, &'t dyn EnergyTangent, State<'t, f64>, f64)> {
-        let alone = State::new(x);
+    /// The terms that act.
+    pub(super) fn terms<'t>(&'t self, solver: &'t Solver, frozen: &'t Frozen) -> Vec<Term<'t>> {
         let [strain, bending, gravity, collision, attachment] = solver.forces.weights;
-        let mut out: Vec<(&'static str, &dyn EnergyTangent, State<'_, f64>, f64)> = vec![
-            ("strain", &solver.strain, alone, strain),
-            ("bending", &solver.bending, alone, bending),
-            ("gravity", &solver.gravity, alone, gravity),
+        let alone = |name, term: &'t dyn SolverTerm, weight| Term { name, term, weight, body: None, targets: None };
+        let mut out = vec![
+            alone("strain", &solver.strain, strain),
+            alone("bending", &solver.bending, bending),
+            alone("gravity", &solver.gravity, gravity),
         ];
         if let Some(body) = &self.scene.body {
             let state =
                 BodyState { positions: body.positions, normals: body.normals, nearest: frozen.nearest.as_deref() };
-            out.push(("collision", &solver.collision, alone.with_body(state), collision));
+            let single = SingleBody { positions: &self.body[0], normals: &self.body[1], nearest: &frozen.single };
+            out.push(Term { body: Some((state, single)), ..alone("collision", &solver.collision, collision) });
         }
         if let Some(targets) = &self.targets {
-            out.push(("attachment", &solver.attachment, alone.with_targets(targets), attachment));
+            out.push(Term { targets: Some(targets), ..alone("attachment", &solver.attachment, attachment) });
         }
         if let (Some(targets), Some(springs)) = (&self.springs, &self.scene.springs) {
-            out.push(("springs", springs.attachment, alone.with_targets(targets), 1.0));
+            out.push(Term { targets: Some(targets), ..alone("springs", springs.attachment, 1.0) });
         }
         if let Some((springs, targets)) = &self.momentum {
-            out.push(("inertia", springs, alone.with_targets(targets), 1.0));
+            out.push(Term { targets: Some(targets), ..alone("inertia", springs, 1.0) });
         }
         if self.scene.body.is_some() && solver.settings.friction > 0.0 {
-            out.push(("friction", &frozen.friction, alone, 1.0));
+            out.push(alone("friction", &frozen.friction, 1.0));
         }
-        out.retain(|term| term.3 != 0.0);
+        out.retain(|term| term.weight != 0.0);
         out
     }
 
@@ -144,6 +172,42 @@ impl<'a> Prepared<'a> {
         };
         Error::check_length("nearest body vertices, [garment vertex][lane]", LANES * x.vertices(), found.len())?;
         Ok(Some(found))
+    }
+
+    pub(super) fn has_body_vertex(&self, id: u32) -> bool {
+        (id as usize) < self.body[0].len()
+    }
+    /// Keeps touching vertices, `[garment vertex]`, at their old body vertex unless the new one is nearer by a share of `preference`;
+    /// answers how many changed.
+    ///
+    /// Where two limbs press cloth between them, the nearest vertex lies now on one side, now on the other, and each pushes
+    /// it centimetres into the other. So a change to a surface that faces the other way must be clear.
+    pub(super) fn keep_pairs(
+        &self,
+        x: &[f64],
+        old: &[u32],
+        new: &mut [u32],
+        touching: &[bool],
+        preference: f64,
+    ) -> usize {
+        let [points, normals] = &self.body;
+        let mut changed = 0;
+        for (v, (new, old)) in new.chunks_exact_mut(LANES).zip(old.chunks_exact(LANES)).enumerate() {
+            let (a, b) = (old[0] as usize, new[0] as usize);
+            if a == b || !touching[v] || a.max(b) >= points.len() {
+                continue;
+            }
+            let at = [x[3 * v], x[3 * v + 1], x[3 * v + 2]];
+            let distance = |id: usize| square_distance(&points[id], &at).sqrt();
+            let facing: f64 = (0..3).map(|k| normals[a][k] * normals[b][k]).sum();
+            let clear = if facing < 0.0 { 1.0 + OTHER_SIDE } else { 1.0 };
+            if distance(a) <= distance(b) * (clear + preference) {
+                new.copy_from_slice(old);
+            } else {
+                changed += 1;
+            }
+        }
+        changed
     }
 
     /// The body's part of a garment vertex's motion, for friction: how far its body vertex went in this step.
@@ -159,14 +223,13 @@ impl<'a> Prepared<'a> {
 
 /// Buffers of one solve.
 pub(super) struct Workspace {
-    pub(super) x: Frames<f64>,
-    g: Frames<f64>,
+    x: Frames<f64>,
     pub(super) evaluations: usize,
 }
 
 impl Workspace {
     pub(super) fn new(vertex_count: usize) -> Self {
-        Self { x: Frames::zeros(1, vertex_count, 1), g: Frames::zeros(1, vertex_count, 1), evaluations: 0 }
+        Self { x: Frames::zeros(1, vertex_count, 1), evaluations: 0 }
     }
     pub(super) fn set(&mut self, x: &[f64]) -> &Frames<f64> {
         fill(&mut self.x, x);
@@ -181,19 +244,18 @@ impl Workspace {
         x: &[f64],
         gradient: Option<&mut Vec<f64>>,
     ) -> Result<Vec<(&'static str, f64)>> {
-        fill(&mut self.x, x);
         self.evaluations += 1;
-        self.g.clear();
-        let wanted = gradient.is_some();
+        let mut gradient = gradient;
+        if let Some(gradient) = &mut gradient {
+            gradient.clear();
+            gradient.resize(x.len(), 0.0);
+        }
         let mut energies = Vec::new();
-        for (name, term, state, weight) in prepared.terms(solver, frozen, &self.x) {
-            let mut energy = [0.0];
-            term.add(&state, weight, &mut energy, if wanted { Some(&mut self.g) } else { None })?;
-            energies.push((name, energy[0]));
+        for Term { name, term, weight, body, targets } in prepared.terms(solver, frozen) {
+            let pose = Single { positions: x, body: body.map(|b| b.1), targets };
+            energies.push((name, term.add_single(&pose, weight, gradient.as_deref_mut().map(|g| &mut g[..]))?));
         }
         if let Some(gradient) = gradient {
-            gradient.clear();
-            gradient.extend(self.g.data().chunks_exact(LANES).map(|lanes| lanes[0]));
             for (v, _) in prepared.fixed.iter().enumerate().filter(|f| *f.1) {
                 gradient[3 * v..3 * v + 3].fill(0.0);
             }
@@ -212,7 +274,9 @@ impl Workspace {
     ) -> Result<()> {
         fill(&mut self.x, x);
         matrix.clear();
-        for (name, term, state, weight) in prepared.terms(solver, frozen, &self.x) {
+        for Term { name, term, weight, body, .. } in prepared.terms(solver, frozen) {
+            let alone = State::new(&self.x);
+            let state = body.map_or(alone, |(body, _)| alone.with_body(body));
             let own;
             let (slots, width, values) = match name {
                 "strain" => (&solver.slots[0], 3, 9 * solver.slots[0].len()),
@@ -235,17 +299,4 @@ impl Workspace {
 /// Sum of energies.
 pub(super) fn total(energies: &[(&'static str, f64)]) -> f64 {
     energies.iter().map(|e| e.1).sum()
-}
-
-/// Largest vector per vertex: length and vertex.
-pub(super) fn largest(g: &[f64]) -> (f64, usize) {
-    let mut out = (0.0, 0);
-    for (v, g) in g.chunks_exact(3).enumerate() {
-        let length = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]).sqrt();
-        // NaN counts as the largest.
-        if length > out.0 || length.is_nan() {
-            out = (length, v);
-        }
-    }
-    out
 }

@@ -4,6 +4,7 @@ mod analytic;
 mod contact;
 mod extremes;
 mod sensitivities;
+mod single;
 #[path = "../support/mod.rs"]
 mod support;
 mod tangents;

@@ -227,3 +227,39 @@ fn contact_friction_springs_and_scan() {
     assert!(Attachment::<f64>::springs(&[99], &[1.0], 12).is_err());
     assert!(Attachment::<f64>::springs(&[1], &[-1.0], 12).is_err());
 }
+
+#[test]
+fn a_hinge_that_folds_through_itself_jumps_by_what_is_said() {
+    let rest = sheet(1, 1, [0.05, 0.04], 0.2);
+    let axis = nalgebra::Unit::new_normalize(rest.template.vertices[3] - rest.template.vertices[0]);
+    let turned = |angle: f64| -> Vec<f64> {
+        let mut points = rest.template.vertices.clone();
+        points[1] = nalgebra::Rotation3::from_axis_angle(&axis, angle) * points[1];
+        points.iter().flat_map(|p| [p.x, p.y, p.z]).collect()
+    };
+    // A fold at rest makes both sides of π differ.
+    let mut bent = rest.clone();
+    bent.hinges[0].angle = 0.3;
+    let mut bending = Bending::new(&bent, Arc::new(Fabric::snug()), RestAngle::Template);
+    for hold in [false, true] {
+        if hold {
+            bending.hold(&State::new(&frame(&rest.template.vertices))).unwrap();
+        }
+        for sign in [1.0, -1.0] {
+            let x = |angle: f64| turned(sign * angle);
+            let energy = |x: &[f64]| bending.add_single(&Single::new(x), 0.7, None).unwrap();
+            let jump = |a: f64, b: f64| bending.jump_between(&x(a), &x(b), 0.7).unwrap();
+            let pi = std::f64::consts::PI;
+            let across = energy(&x(pi + 1e-7)) - energy(&x(pi - 1e-7));
+            assert!(across.abs() > 1e-5, "the energy jumps by {across}");
+            // The energy's own change over 2e-7 rad is some 1e-11 J.
+            assert!((jump(pi - 1e-7, pi + 1e-7) - across).abs() < 1e-9, "{} {across}", jump(pi - 1e-7, pi + 1e-7));
+            assert_eq!(jump(0.5, pi - 1e-3), 0.0);
+            // With it, the way across is a parabola.
+            let smooth = |a: f64, b: f64| energy(&x(b)) - energy(&x(a)) - jump(a, b);
+            let second = smooth(3.1, 3.3) - (energy(&x(3.1)) - energy(&x(2.9)));
+            let third = energy(&x(3.1)) - 2.0 * energy(&x(2.9)) + energy(&x(2.7));
+            assert!((second - third).abs() < 1e-9, "{second:e} {third:e}");
+        }
+    }
+}

@@ -243,6 +243,53 @@ impl Bending<f64> {
     pub fn release(&mut self) {
         self.held = None;
     }
+    /// By how much the energy [J] jumps on the way from `before` to `after` ([m], shape [vertex][3]) because hinges fold beyond π.
+    ///
+    /// Angles live in (−π, π]: a hinge that is folded flat and then further continues at −π, where its energy is another unless τ_T
+    /// is 0. Its force does not see that jump, which a search for lower energy would stop at.
+    ///
+    /// # Errors
+    /// As [`EnergyTerm::add`].
+    pub fn jump_between(&self, before: &[f64], after: &[f64], weight: f64) -> Result<f64> {
+        Error::check_length("positions before a step", 3 * self.vertex_count, before.len())?;
+        Error::check_length("positions after a step", 3 * self.vertex_count, after.len())?;
+        let points = |x: &[f64]| x.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect::<Vec<_>>();
+        let (before, after) = (points(before), points(after));
+        let facts = self.material.describe();
+        let current = facts.hinge_length != HingeLength::Rest;
+        let mut jump = 0.0;
+        for (b, batch) in self.real().chunks(BATCH).enumerate() {
+            let (old, new) = (Self::folds(batch, &before), Self::folds(batch, &after));
+            let turned = |i: usize| match (&old[i], &new[i]) {
+                (Some(old), Some(new)) => new.angle - old.angle,
+                _ => 0.0,
+            };
+            if (0..batch.len()).all(|i| turned(i).abs() <= std::f64::consts::PI) {
+                continue;
+            }
+            let question = Question::new(batch, &new, current);
+            let lookup = [&question.angle[..], &question.length[..]];
+            let [k, ..] =
+                self.stiffness(&facts, &question, lookup, false).map_err(|e| self.locate_in(e, b, batch.len()))?;
+            for (i, hinge) in batch.iter().enumerate() {
+                if turned(i).abs() <= std::f64::consts::PI {
+                    continue;
+                }
+                let (k, l) = match &self.held {
+                    Some(held) if facts.hinge_length == HingeLength::CurrentHeld => {
+                        let [k, l] = held[b * BATCH + i];
+                        (k, l)
+                    }
+                    Some(held) => (held[b * BATCH + i][0], question.length[i]),
+                    None => (k[i], question.length[i]),
+                };
+                let fold = question.angle[i] - hinge.angle;
+                let onward = fold - std::f64::consts::TAU.copysign(turned(i));
+                jump += weight * k * l * l / (8.0 * hinge.area) * (fold * fold - onward * onward);
+            }
+        }
+        Ok(jump)
+    }
     fn locate_in(&self, error: Error, batch: usize, size: usize) -> Error {
         let Error::NonFinite { what, index, value } = error else { return error };
         let [n0, n1, ..] = self.hinges[batch * BATCH + index % size.max(1)].vertices;
