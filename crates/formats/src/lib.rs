@@ -1,4 +1,5 @@
-//! File formats of caphy: NPZ, PLY, OBJ and motion in; PLY, OBJ (also as a sequence), PC2, USD, GLB and safetensors out.
+//! File formats of caphy: NPZ, PLY, OBJ and motion in; PLY, OBJ (also as a sequence), PC2, USD, GLB,
+//! safetensors and TensorBoard events out.
 //!
 //! Nothing here touches the disk. A reader takes the file's bytes and its path, the path only for messages; a writer
 //! returns bytes, or writes to where it is told when there may be many. Damaged input gives a
@@ -16,5 +17,6 @@ pub mod npz;
 pub mod obj;
 pub mod pc2;
 pub mod ply;
+pub mod tensorboard;
 pub mod usd;
 pub mod weights;
