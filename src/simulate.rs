@@ -7,7 +7,9 @@ use caphy_core::material::MaterialModel;
 use caphy_core::{Error, Real, Result, Vec3};
 use caphy_garment::contact::ContactMap;
 use caphy_garment::energy::frame_normals;
-use caphy_garment::solver::{Dynamics, Forces, Obstacle, Outcome, Scene, SolveReport, Solver, SolverSettings};
+use caphy_garment::solver::{
+    Dynamics, Forces, Obstacle, Outcome, Scene, Solution, SolveReport, Solver, SolverSettings,
+};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -96,7 +98,7 @@ pub fn simulate(
     let mut out = Simulation { frames: Vec::with_capacity(count), reports: Vec::with_capacity(count) };
     let mut motion: Option<Dynamics> = None;
     let mut before: Option<Frames<f64>> = None;
-    let mut anchors: Option<Vec<Vec3>> = None;
+    let mut last: Option<Solution> = None;
     for frame in 0..count {
         let (body, normals) = surroundings(track, under, frame)?;
         let transforms = track.transforms(&[frame])[0];
@@ -115,7 +117,7 @@ pub fn simulate(
                 search: Some(&nearest),
             }),
             targets: Some(&targets),
-            anchors: anchors.as_deref(),
+            anchors: last.as_ref().map(|s| &s.anchors[..]),
             ..Scene::default()
         };
         let say = |p: caphy_garment::solver::Progress| {
@@ -123,19 +125,20 @@ pub fn simulate(
             let share = frame as f64 / count as f64;
             progress(share, &format!("frame {frame} of {count}, step {}, {:.1e} N", p.iteration, p.residual_n));
         };
-        let solution = match &mut motion {
-            Some(motion) => motion.advance(&mut solver, &scene, Some(&start), &say)?,
-            None => solver.solve(&scene, &start, &say)?,
+        let solution = match (&mut motion, &last) {
+            (Some(motion), _) => motion.advance(&mut solver, &scene, Some(&start), &say)?,
+            (None, Some(last)) => solver.solve_from(last, &scene, &start, &say)?,
+            (None, None) => solver.solve(&scene, &start, &say)?,
         };
-        anchors = Some(solution.anchors.clone());
         if options.steps == Steps::Dynamic && frame == 0 && count > 1 {
             // The clip goes on from a motion that it does not show: the cloth moves with the body at first.
             let next = garment.carried(&solution.positions, transforms, track.transforms(&[1])[0]);
             let velocity = next.iter().zip(&solution.positions).map(|(b, a)| (b - a) * options.fps).collect();
             motion = Some(Dynamics::new(solution.positions.clone(), Some(velocity), 1.0 / options.fps)?);
         }
-        out.frames.push(solution.positions);
-        out.reports.push(solution.report);
+        out.frames.push(solution.positions.clone());
+        out.reports.push(solution.report.clone());
+        last = Some(solution);
         before = Some(body);
     }
     Ok(out)
