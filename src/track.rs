@@ -46,7 +46,9 @@ impl Reach {
     /// What each vertex of a garment can touch of the T-posed body, in the numbering of a [`BodyTrack`].
     pub fn contact(&self, rest: &TriMesh, garment: &FittedGarment) -> Result<ContactMap> {
         let body: Vec<Vec3> = self.vertices.iter().map(|&v| rest.vertices[v as usize]).collect();
-        ContactMap::new(&garment.mesh.vertices, &garment.weights, &body, TOUCH)
+        let all = rest.vertex_normals();
+        let normals: Vec<Vec3> = self.vertices.iter().map(|&v| all[v as usize]).collect();
+        ContactMap::new(&garment.mesh.vertices, &garment.weights, &body, &normals, TOUCH)
     }
 }
 

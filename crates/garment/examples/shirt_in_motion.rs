@@ -55,7 +55,7 @@ fn main() -> std::result::Result<(), Box<dyn std::error::Error>> {
     let keep: Vec<bool> =
         skin.vertices.iter().map(|p| grid.nearest_within(&[p.x, p.y, p.z], 0.0144).is_some()).collect();
     let (near, ids) = skin.submesh(&keep);
-    let map = ContactMap::new(&shirt.vertices, &weights, &near.vertices, 0.08)?;
+    let map = ContactMap::new(&shirt.vertices, &weights, &near.vertices, &near.vertex_normals(), 0.08)?;
     let clip = procedural_clip(MotionKind::Walk, 1, count as f64 / RATE + 1.0, RATE)?;
     let skinner = Skinner::<f64>::new(&shirt.vertices, &weights)?;
     let mut solver = Solver::new(&rest, material, Forces::default(), SolverSettings::default())?;
