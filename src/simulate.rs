@@ -64,6 +64,13 @@ impl Simulation {
     pub fn worst_residual_n(&self) -> f64 {
         self.reports.iter().map(|r| r.residual_n).fold(0.0, f64::max)
     }
+    /// Mean energy per term over all frames [J]; of terms that act in every frame.
+    pub fn mean_energies(&self) -> Vec<(String, f64)> {
+        let Some(first) = self.reports.first() else { return Vec::new() };
+        let count = self.reports.len() as f64;
+        let mean = |name: &str| self.reports.iter().map(|r| r.energy(name)).sum::<f64>() / count;
+        first.energies.iter().map(|(name, _)| (name.clone(), mean(name))).collect()
+    }
     /// Newton steps over all frames.
     pub fn iterations(&self) -> usize {
         self.reports.iter().map(|r| r.iterations).sum()

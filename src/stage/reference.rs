@@ -37,6 +37,9 @@ pub struct ReferenceGarment {
     pub moving: Vec<Vec<Vec3>>,
     /// At rest [m], shape [resting][vertex].
     pub at_rest: Vec<Vec<Vec3>>,
+    /// Mean energies per term, in motion and at rest [J]: of the solver's own contacts, which keep cloth in a fold of the body on
+    /// its side.
+    pub energies: [Vec<(String, f64)>; 2],
     /// Largest force left on a vertex, in motion and at rest [N].
     pub residual_n: [f64; 2],
     /// Frames whose forces did not come below the tolerance, in motion and at rest.
@@ -88,6 +91,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: Option<&Nets>) -> Res
         };
         let at_rest = solve(Steps::QuasiStatic, 0.0, 0.3)?;
         let moving = solve(Steps::Dynamic, 0.3, 1.0)?;
+        let energies = [moving.mean_energies(), at_rest.mean_energies()];
         let residual_n = [moving.worst_residual_n(), at_rest.worst_residual_n()];
         let unconverged = [moving.unconverged(), at_rest.unconverged()];
         context.progress.note(&format!(
@@ -105,6 +109,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: Option<&Nets>) -> Res
             kind: garment.kind,
             moving: moving.frames,
             at_rest: at_rest.frames,
+            energies,
             residual_n,
             unconverged,
         });
