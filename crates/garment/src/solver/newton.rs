@@ -242,8 +242,9 @@ impl Newton {
             }
             if good {
                 let (mut trial, mut value) = (trial, value);
-                // Leaving a saddle along a curvature that was clamped away, whole steps are far too short.
-                while step == 1.0 || (step > 1.0 && step < 64.0) {
+                // Leaving a saddle along a curvature that was clamped away, whole steps are far too short. Where energies are
+                // rounding they say nothing of that.
+                while -slope > noise && (step == 1.0 || (step > 1.0 && step < 64.0)) {
                     let longer = 2.0 * step;
                     if longer * reach > solver.settings.max_move_m {
                         break;

@@ -303,7 +303,7 @@ impl Solver {
                     touching[t.vertex as usize] = true;
                 }
             }
-            changed = prepared.keep_pairs(x, before, &mut new, &touching, preference);
+            changed = prepared.keep_pairs(x, before, &mut new, &touching, (preference, self.forces.contact.margin));
         }
         Ok((Frozen::new(Some(new), Friction::none(self.vertex_count())), changed))
     }

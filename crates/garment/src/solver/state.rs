@@ -10,8 +10,6 @@ use crate::energy::{
 use caphy_core::lanes::Frames;
 use caphy_core::{Error, Real, Result, Vec3};
 
-/// A touching vertex changes to a surface that faces the other way when that is nearer by this share.
-const OTHER_SIDE: f64 = 1.0;
 const LANES: usize = <f64 as Real>::LANES;
 
 /// Contact pairs and friction of one round.
@@ -181,14 +179,14 @@ impl<'a> Prepared<'a> {
     /// answers how many changed.
     ///
     /// Where two limbs press cloth between them, the nearest vertex lies now on one side, now on the other, and each pushes
-    /// it centimetres into the other. So a change to a surface that faces the other way must be clear.
+    /// it centimetres into the other. So a vertex that is still outside one surface, or less deep in it, stays with that one.
     pub(super) fn keep_pairs(
         &self,
         x: &[f64],
         old: &[u32],
         new: &mut [u32],
         touching: &[bool],
-        preference: f64,
+        (preference, margin): (f64, f64),
     ) -> usize {
         let [points, normals] = &self.body;
         let mut changed = 0;
@@ -199,9 +197,11 @@ impl<'a> Prepared<'a> {
             }
             let at = [x[3 * v], x[3 * v + 1], x[3 * v + 2]];
             let distance = |id: usize| square_distance(&points[id], &at).sqrt();
-            let facing: f64 = (0..3).map(|k| normals[a][k] * normals[b][k]).sum();
-            let clear = if facing < 0.0 { 1.0 + OTHER_SIDE } else { 1.0 };
-            if distance(a) <= distance(b) * (clear + preference) {
+            let along = |id: usize, to: &[f64; 3]| -> f64 { (0..3).map(|k| normals[id][k] * to[k]).sum() };
+            let depth = |id: usize| margin - along(id, &[0, 1, 2].map(|k| at[k] - points[id][k]));
+            // Beginning to touch the other surface is one thing, being thrown deep into it another.
+            let thrown = along(a, &normals[b]) < 0.0 && depth(b) > depth(a).max(margin);
+            if thrown || distance(a) <= distance(b) * (1.0 + preference) {
                 new.copy_from_slice(old);
             } else {
                 changed += 1;

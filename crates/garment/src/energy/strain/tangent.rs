@@ -14,6 +14,9 @@ const BATCH: usize = 256;
 /// 1e-10 of the stress's scale.
 const GREEN_STEP: f64 = 1e-5;
 
+/// See [`convex`].
+const LEAST_RESISTANCE: f64 = 0.3;
+
 /// Deformed columns F = [fu, fv] of a triangle (Eq. 3).
 fn deformation(t: &Triangle<f64>, x: &[[f64; 3]]) -> [Vec3; 2] {
     let [a, b, c] = t.vertices.map(|v| Vec3::from(x[v as usize]));
@@ -175,6 +178,19 @@ fn projected(f: &[Vec3; 2], stress: [f64; 3], d: &Matrix3<f64>) -> [[Matrix3<f64
     })
 }
 
+/// Which tangent to hold: the symmetric part of the whole one where that resists every strain at least as much as
+/// [`LEAST_RESISTANCE`] of the one with held stiffness, else the latter. (W C is what must be symmetric, W = diag(1, 1, 2),
+/// because Guv counts twice.)
+fn convex(whole: [f64; 9], held: [f64; 9]) -> [f64; 9] {
+    let weighted = |c: &[f64; 9]| Matrix3::from_fn(|i, j| if i == 2 { 2.0 } else { 1.0 } * c[3 * i + j]);
+    let (w, h) = (weighted(&whole), weighted(&held));
+    let symmetric = (w + w.transpose()) * 0.5;
+    if !semidefinite(&(symmetric - (h + h.transpose()) * (0.5 * LEAST_RESISTANCE))) {
+        return held;
+    }
+    std::array::from_fn(|k| symmetric[(k / 3, k % 3)] / if k / 3 == 2 { 2.0 } else { 1.0 })
+}
+
 /// All principal minors of a symmetric matrix are non-negative up to rounding.
 fn semidefinite(d: &Matrix3<f64>) -> bool {
     let scale = d.amax();
@@ -244,17 +260,17 @@ impl Strain<f64> {
         }
     }
 
-    /// Holds the stiffness of every triangle as it is at these positions: from now on S(G) = S₀ + C₀ (G − G₀) with the tangent C₀
-    /// of held stiffness and ψ its integral, a true gradient, until [`Strain::release`]. At these positions the force is
-    /// the material's own.
+    /// Holds the stiffness of every triangle as it is at these positions: from now on S(G) = S₀ + C₀ (G − G₀) and ψ its integral, a
+    /// true gradient, until [`Strain::release`]. At these positions the force is the material's own. C₀ is the
+    /// tangent with held stiffness, or the symmetric part of the whole one where that is nearly as stiff: what frozen
+    /// stiffness leaves out of the energy its forces still feel, and steps that know it need not be told again and again.
     ///
     /// # Errors
     /// As [`EnergyTangent::tangents`].
     pub fn hold(&mut self, state: &State<'_, f64>) -> Result<()> {
         let x = only_frame("strain", state.positions)?;
         let mut held = Vec::with_capacity(self.triangles.len());
-        // Only a frozen stiffness is left out of the slope.
-        let total = !self.material.describe().stiffness_frozen;
+        let frozen = self.material.describe().stiffness_frozen;
         for (b, batch) in self.triangles.chunks(BATCH).enumerate() {
             let n = batch.len();
             let (g, _) = Self::measured(batch, &x);
@@ -262,12 +278,18 @@ impl Strain<f64> {
             let mut block = MembraneBlock::new(n, &g);
             block.energy = (&mut density[..]).into();
             self.material.membrane((&mut block).into()).map_err(Self::locate_in(b, n))?;
-            let answer = answer(&*self.material, &g, total).map_err(Self::locate_in(b, n))?;
+            let answer_of = |total| answer(&*self.material, &g, total).map_err(Self::locate_in(b, n));
+            let whole = answer_of(true)?;
+            // Without it, all of the tangent is the derivative of an energy already.
+            let part = if frozen { Some(answer_of(false)?) } else { None };
             held.extend((0..n).map(|i| Held {
                 green: [0, 1, 2].map(|k| g[k * n + i]),
                 energy: density[i],
-                stress: [0, 1, 2].map(|k| answer.stress[k * n + i]),
-                slope: std::array::from_fn(|k| answer.slope[k * n + i]),
+                stress: [0, 1, 2].map(|k| whole.stress[k * n + i]),
+                slope: {
+                    let of = |answer: &Answer| std::array::from_fn(|k| answer.slope[k * n + i]);
+                    part.as_ref().map_or_else(|| of(&whole), |part| convex(of(&whole), of(part)))
+                },
             }));
         }
         self.held = Some(held);
