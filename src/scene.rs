@@ -23,7 +23,7 @@ const REACH: f64 = 0.12;
 /// The subject's body and where garments can touch it.
 pub struct Scene {
     /// The body model.
-    pub body: Box<dyn BodyModel>,
+    pub body: Arc<dyn BodyModel>,
     /// Shape and dT of the subject, T-posed.
     pub subject: BodyParameters,
     /// T-posed surface [m].
@@ -37,7 +37,7 @@ pub struct Scene {
 impl Scene {
     /// Builds the body of a preprocessed subject.
     pub fn new(context: &Context<'_>, subject: &Subject) -> Result<Scene> {
-        let body = context.config.body.body(context.files)?;
+        let body: Arc<dyn BodyModel> = Arc::from(context.config.body.body(context.files)?);
         let mut parameters = body.rest(&subject.shape);
         parameters.displacement = subject.displacement.clone();
         let posed = body.forward(&parameters)?;
@@ -69,7 +69,9 @@ impl Scene {
             poses.extend(prepared.clip.poses.iter().cloned());
         }
         let starts = windows.starts.iter().map(|start| first[start.clip] + start.frame).collect();
-        Ok(MotionFrames { track: self.track(&poses)?, starts, has_before, fps: context.config.motion.fps })
+        let limit = context.config.train.keep_bodies_mib.saturating_mul(1 << 20);
+        let track = BodyTrack::within(limit, &self.body, &self.subject, &self.reach, &poses)?;
+        Ok(MotionFrames { track, starts, has_before, fps: context.config.motion.fps })
     }
     /// Body track of the scans that may be learned from.
     pub fn scan_track(&self, subject: &Subject) -> Result<Arc<BodyTrack>> {
