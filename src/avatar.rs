@@ -12,6 +12,7 @@ use caphy_core::{Error, Result, Vec3};
 use caphy_garment::energy::LayeringOptions;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+use std::sync::Arc;
 
 /// What stands in the file's header as its stage.
 const KIND: &str = "avatar";
@@ -90,7 +91,7 @@ impl Avatar {
             None => PluginTable::parse(plugins, Kind::Body, Path::new("avatar's body"), &self.body)?
                 .body(&crate::files::ProjectFiles::new("."))?,
         };
-        Scene::dressed(body, &self.shape, &self.displacement, &self.garments)
+        Scene::dressed(Arc::from(body), &self.shape, &self.displacement, &self.garments)
     }
 
     /// The table that makes its nets.

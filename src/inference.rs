@@ -3,13 +3,15 @@
 use crate::garment::{FittedGarment, TrainedGarment};
 use crate::plugins::PluginTable;
 use crate::track::BodyTrack;
-use caphy_core::extension::DeformationNetExt;
+use caphy_core::array::Out;
 use caphy_core::lanes::Frames;
-use caphy_core::net::DeformationNet;
+use caphy_core::net::{DeformationNet, ForwardBlock, ForwardCall};
+use caphy_core::pose::Pose;
 use caphy_core::query::NearestGrid;
 use caphy_core::{Error, Real, Result, TriMesh, Vec3};
 use caphy_garment::contact::ContactMap;
 use caphy_garment::skinning::Skinner;
+use nalgebra::Matrix3x4;
 
 /// How frames follow each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -20,6 +22,85 @@ pub enum Play {
     Poses,
 }
 
+/// A trained garment that is posed frame by frame, in memory of its own.
+pub struct Player<'a> {
+    trained: &'a TrainedGarment,
+    net: Box<dyn DeformationNet>,
+    skinner: Skinner<f32>,
+    state: Vec<f32>,
+    next_state: Vec<f32>,
+    displacement: Vec<f32>,
+    vertices: Vec<[f32; 3]>,
+}
+
+impl<'a> Player<'a> {
+    /// At rest: no state carried.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for another net than the trained one.
+    pub fn new(garment: &FittedGarment, trained: &'a TrainedGarment, spec: &PluginTable) -> Result<Player<'a>> {
+        let outputs = 3 * garment.mesh.vertices.len();
+        let net = spec.net(trained.features.count(), outputs)?;
+        if *net.manifest() != trained.manifest {
+            return Err(Error::config(
+                "net",
+                "the trained net has other sizes than the configured one",
+                "use the configuration that the avatar was trained with",
+            ));
+        }
+        let state = vec![0.0; trained.manifest.state];
+        Ok(Player {
+            trained,
+            net,
+            skinner: Skinner::new(&garment.mesh.vertices, &garment.weights)?,
+            next_state: state.clone(),
+            state,
+            displacement: vec![0.0; outputs],
+            vertices: Vec::new(),
+        })
+    }
+    /// Forgets the frames so far.
+    pub fn rest(&mut self) {
+        self.state.fill(0.0);
+    }
+    /// The net's answer to a pose after another: dV in units of [`TrainedGarment::output_scale_m`], shape [3 V]. The state goes
+    /// one step on.
+    ///
+    /// # Errors
+    /// A pose that is not finite or has too few joints; what the net refuses.
+    pub fn displace(&mut self, pose: &Pose, previous: Option<&Pose>) -> Result<&[f32]> {
+        let features: Vec<f32> = self.trained.features.frame(pose, previous, 1.0 / self.trained.fps)?;
+        let mut block = ForwardBlock {
+            steps: 1,
+            batch: 1,
+            parameters: (&self.trained.parameters[..]).into(),
+            features: (&features[..]).into(),
+            state_before: (&self.state[..]).into(),
+            output: (&mut self.displacement[..]).into(),
+            state_after: (&mut self.next_state[..]).into(),
+            tape: Out::absent(),
+        };
+        self.net.forward(ForwardCall::F32(&mut block))?;
+        std::mem::swap(&mut self.state, &mut self.next_state);
+        Ok(&self.displacement)
+    }
+    /// The garment in a pose after another [m], shape [V]; `transforms` are the body's A_j in that pose.
+    ///
+    /// # Errors
+    /// As [`Player::displace`]; [`Error::Length`] for too few transforms.
+    pub fn frame(
+        &mut self,
+        pose: &Pose,
+        previous: Option<&Pose>,
+        transforms: &[Matrix3x4<f64>],
+    ) -> Result<&[[f32; 3]]> {
+        self.displace(pose, previous)?;
+        let scale = self.trained.output_scale_m as f32;
+        self.skinner.pose(transforms, &self.displacement, scale, &mut self.vertices)?;
+        Ok(&self.vertices)
+    }
+}
+
 /// Garment vertices of every frame of a track [m], shape [frame][vertex].
 pub fn play(
     garment: &FittedGarment,
@@ -28,44 +109,18 @@ pub fn play(
     track: &BodyTrack,
     how: Play,
 ) -> Result<Vec<Vec<Vec3>>> {
-    let outputs = 3 * garment.mesh.vertices.len();
-    let net = spec.net(trained.features.count(), outputs)?;
-    if *net.manifest() != trained.manifest {
-        return Err(Error::config(
-            "net",
-            "the trained net has other sizes than the configured one",
-            "use the configuration that the avatar was trained with",
-        ));
-    }
-    let skinner = Skinner::<f32>::new(&garment.mesh.vertices, &garment.weights)?;
-    let mut state = vec![0.0f32; trained.manifest.state];
+    let mut player = Player::new(garment, trained, spec)?;
     let mut out = Vec::with_capacity(track.len());
     for frame in 0..track.len() {
         let previous = (how == Play::Clip && frame > 0).then(|| &track.poses[frame - 1]);
         if how == Play::Poses {
-            state.fill(0.0);
+            player.rest();
         }
-        let features: Vec<f32> = trained.features.frame(&track.poses[frame], previous, 1.0 / trained.fps)?;
-        let displacement = displacement(&*net, trained, &features, &mut state)?;
-        let joints = skinner.joint_frames(&track.transforms(&[frame]), 1)?;
-        let mut posed = Frames::zeros(1, garment.mesh.vertices.len(), 1);
-        skinner.forward(&joints, Some(&displacement), &mut posed)?;
-        Error::check_finite(&format!("posed {} of frame {frame}", garment.kind), posed.data())?;
-        out.push(posed.frame(0, 0));
+        let posed = player.frame(&track.poses[frame], previous, &track.transforms[frame])?;
+        Error::check_finite(&format!("posed {} of frame {frame}", garment.kind), posed.as_flattened())?;
+        out.push(posed.iter().map(|p| Vec3::from_fn(|k, _| f64::from(p[k]))).collect());
     }
     Ok(out)
-}
-
-/// dV of one frame [m]; `state` goes one step on.
-fn displacement(
-    net: &dyn DeformationNet,
-    trained: &TrainedGarment,
-    features: &[f32],
-    state: &mut [f32],
-) -> Result<Vec<f32>> {
-    let mut displacement = net.frame(&trained.parameters, features, state)?;
-    displacement.iter_mut().for_each(|d| *d *= trained.output_scale_m as f32);
-    Ok(displacement)
 }
 
 /// Where each garment vertex would touch the body: point [m] and outward normal of its nearest candidate in one frame of a
@@ -73,7 +128,7 @@ fn displacement(
 pub fn contacts(map: &ContactMap, track: &BodyTrack, frame: usize, garment: &[Vec3]) -> Result<Vec<(Vec3, Vec3)>> {
     let mut positions = Frames::<f64>::zeros(1, garment.len(), 1);
     positions.set_frame(0, 0, garment)?;
-    let (body, normals) = track.gather::<f64>(&[frame], 1);
+    let (body, normals) = track.gather::<f64>(&[frame], 1)?;
     let nearest = map.nearest(&positions, &body)?;
     Ok((0..garment.len())
         .map(|v| {

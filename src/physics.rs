@@ -1,6 +1,7 @@
 //! A garment with everything that pulls at it: Eq. 6 term by term, with the configured weights.
 
 use crate::config::{TermWeights, TrainConfig};
+use crate::trainer::StageClock;
 use caphy_core::lanes::Frames;
 use caphy_core::material::{MaterialModel, MaterialReal};
 use caphy_core::{Result, Vec3};
@@ -26,6 +27,7 @@ pub struct Physics<T> {
     /// Springs of the waistband: their vertices say which targets a state needs.
     pub attachment: Attachment<T>,
     weights: TermWeights,
+    clock: StageClock,
 }
 
 /// What a batch asks for.
@@ -58,7 +60,12 @@ impl<T: MaterialReal> Physics<T> {
             collision: Collision::new(rest, contact)?,
             attachment: Attachment::new(rest, WAISTBAND),
             weights: weights.clone(),
+            clock: StageClock::off(),
         })
+    }
+    /// Times each term by its name from now on.
+    pub fn set_clock(&mut self, clock: StageClock) {
+        self.clock = clock;
     }
     /// The same garment made of another material.
     pub fn set_material(&mut self, material: Arc<dyn MaterialModel>) {
@@ -110,7 +117,7 @@ impl<T: MaterialReal> Physics<T> {
                 mean_of = transitions;
             }
             let mut energy = vec![0.0; frames];
-            term.add(state, factor, &mut energy, gradient.as_deref_mut())?;
+            self.clock.time(term.name(), || term.add(state, factor, &mut energy, gradient.as_deref_mut()))?;
             let sum: f64 = energy.iter().sum();
             let mean = if factor == 0.0 { 0.0 } else { sum / factor * weight / mean_of as f64 };
             out.push((term.name(), mean));

@@ -24,7 +24,7 @@ pub(crate) const REACH: f64 = 0.12;
 /// The subject's body and where garments can touch it.
 pub struct Scene {
     /// The body model.
-    pub body: Box<dyn BodyModel>,
+    pub body: Arc<dyn BodyModel>,
     /// Shape and dT of the subject, T-posed.
     pub subject: BodyParameters,
     /// T-posed surface [m].
@@ -38,12 +38,16 @@ pub struct Scene {
 impl Scene {
     /// Builds the body of a preprocessed subject.
     pub fn new(context: &Context<'_>, subject: &Subject) -> Result<Scene> {
-        let body = context.config.body.body(context.files)?;
-        Self::dressed(body, &subject.shape, &subject.displacement, &subject.garments)
+        Self::dressed(
+            Arc::from(context.config.body.body(context.files)?),
+            &subject.shape,
+            &subject.displacement,
+            &subject.garments,
+        )
     }
     /// A body of a shape with displacements [m] (none: empty) under garments.
     pub fn dressed(
-        body: Box<dyn BodyModel>,
+        body: Arc<dyn BodyModel>,
         shape: &[f64],
         displacement: &[Vec3],
         garments: &[FittedGarment],
@@ -79,7 +83,9 @@ impl Scene {
             poses.extend(prepared.clip.poses.iter().cloned());
         }
         let starts = windows.starts.iter().map(|start| first[start.clip] + start.frame).collect();
-        Ok(MotionFrames { track: self.track(&poses)?, starts, has_before, fps: context.config.motion.fps })
+        let limit = context.config.train.keep_bodies_mib.saturating_mul(1 << 20);
+        let track = BodyTrack::within(limit, &self.body, &self.subject, &self.reach, &poses)?;
+        Ok(MotionFrames { track, starts, has_before, fps: context.config.motion.fps })
     }
     /// How much motion there is to train on, without posing a body.
     pub fn windows(&self, context: &Context<'_>) -> Result<PlannedMotion> {

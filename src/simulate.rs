@@ -153,7 +153,7 @@ pub fn simulate(
 
 /// Positions and normals of everything that the garment may touch in one frame.
 fn surroundings(track: &BodyTrack, under: Option<Under<'_>>, frame: usize) -> Result<(Frames<f64>, Frames<f64>)> {
-    let (body, normals) = track.gather::<f64>(&[frame], 1);
+    let (body, normals) = track.gather::<f64>(&[frame], 1)?;
     let Some(under) = under else { return Ok((body, normals)) };
     let vertices = &under.frames[frame];
     let mut other = Frames::zeros(1, vertices.len(), 1);

@@ -2,6 +2,14 @@
 //!
 //! Nothing here knows a stage: `train` gives it one garment, `finetune` two.
 
+mod clock;
+mod pool;
+#[cfg(test)]
+mod step_tests;
+
+pub use clock::StageClock;
+pub use pool::{Lent, Memory};
+
 use crate::config::TrainConfig;
 use crate::garment::{FittedGarment, TrainedGarment};
 use crate::physics::{Dynamics, GRAVITY, Physics, TermEnergies};
@@ -12,18 +20,21 @@ use caphy_core::body::BodyDescription;
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialModel;
 use caphy_core::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock, ForwardCall};
-use caphy_core::{Error, Real, Result};
+use caphy_core::{Error, Real, Result, simd_kernel};
 use caphy_garment::GarmentRest;
 use caphy_garment::contact::ContactMap;
 use caphy_garment::energy::{BodyState, Chamfer, EnergyTerm, ScanCloud, State};
 use caphy_garment::features::{FeatureOptions, PoseFeatures, moving_joints};
 use caphy_garment::skinning::{JointFrames, Skinner};
 use caphy_nets::adam::Adam;
+use pool::Pool;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Frames of motion with the windows that may be drawn from them.
 pub struct MotionFrames {
@@ -116,19 +127,21 @@ pub struct GarmentLearner<'a> {
     first_moment: Vec<f32>,
     second_moment: Vec<f32>,
     adam: Adam,
+    pool: Pool,
+    clock: StageClock,
 }
 
 /// What a forward pass leaves for the backward pass.
 pub struct Pass {
     /// Posed garments [m].
-    pub positions: Frames<f32>,
+    pub positions: Lent<Frames<f32>>,
     /// Gradient by them [N], to which others may add.
-    pub gradient: Frames<f32>,
+    pub gradient: Lent<Frames<f32>>,
     /// Mean energies.
     pub energies: TermEnergies,
-    features: Vec<f32>,
+    features: Lent<Vec<f32>>,
     joints: JointFrames<f32>,
-    tape: Vec<f32>,
+    tape: Lent<Vec<f32>>,
     steps: usize,
     windows: usize,
 }
@@ -237,7 +250,19 @@ impl<'a> GarmentLearner<'a> {
             first_moment: vec![0.0; n],
             second_moment: vec![0.0; n],
             adam: Adam { learning_rate: config.learning_rate as f32, ..Adam::default() },
+            pool: Pool::default(),
+            clock: StageClock::off(),
         })
+    }
+    /// Measures from now on where the time of steps goes, from zero; or stops measuring.
+    pub fn set_profiling(&mut self, on: bool) {
+        self.clock = if on { StageClock::on() } else { StageClock::off() };
+        self.physics.set_clock(self.clock.clone());
+    }
+    /// Wall time by stage of all steps since [`GarmentLearner::set_profiling`], in the order of a step; empty where nothing is
+    /// measured. Energies are named as in the metrics.
+    pub fn profile(&self) -> Vec<(&'static str, Duration)> {
+        self.clock.sums()
     }
 
     /// Poses a batch by the net and adds up its energies and their gradients by the garment's vertices, as means over frames.
@@ -249,36 +274,48 @@ impl<'a> GarmentLearner<'a> {
         };
         let windows = batch.windows;
         let steps = batch.frames.len() / windows;
-        let inputs: Vec<f32> = batch.frames.iter().flat_map(|&f| features[f].iter().copied()).collect();
-        let manifest = self.net.manifest();
-        let mut output = vec![0.0f32; steps * windows * manifest.outputs];
-        let mut tape = vec![0.0f32; self.net.tape_len(steps, windows)?];
-        let mut block = ForwardBlock {
-            steps,
-            batch: windows,
-            parameters: (&self.parameters[..]).into(),
-            features: (&inputs[..]).into(),
-            state_before: In::absent(),
-            output: (&mut output[..]).into(),
-            state_after: Out::absent(),
-            tape: (&mut tape[..]).into(),
-        };
-        self.net.forward(ForwardCall::F32(&mut block))?;
-        output.iter_mut().for_each(|d| *d *= self.output_scale);
+        let (pool, clock) = (&self.pool, &self.clock);
+        let mut inputs = pool.values(batch.frames.len() * self.net.manifest().inputs);
+        for (row, &f) in inputs.chunks_exact_mut(self.net.manifest().inputs.max(1)).zip(&batch.frames) {
+            row.copy_from_slice(&features[f]);
+        }
+        // Zeros: a net of somebody else's may add to what it finds.
+        let mut output = pool.zeros(batch.frames.len() * self.net.manifest().outputs);
+        let mut tape = pool.zeros(self.net.tape_len(steps, windows)?);
+        clock.time("net forward", || {
+            let mut block = ForwardBlock {
+                steps,
+                batch: windows,
+                parameters: (&self.parameters[..]).into(),
+                features: (&inputs[..]).into(),
+                state_before: In::absent(),
+                output: (&mut output[..]).into(),
+                state_after: Out::absent(),
+                tape: (&mut tape[..]).into(),
+            };
+            self.net.forward(ForwardCall::F32(&mut block))
+        })?;
 
-        let transforms = track.transforms(&batch.frames);
-        let joints = self.skinner.joint_frames(&transforms, windows)?;
-        let mut positions = Frames::zeros(steps, self.skinner.vertex_count(), windows);
-        self.skinner.forward(&joints, Some(&output), &mut positions)?;
-        let held_joints = self.held.joint_frames(&transforms, windows)?;
-        let mut targets = Frames::zeros(steps, self.held.vertex_count(), windows);
-        self.held.forward(&held_joints, None, &mut targets)?;
-        let (body, normals) = track.gather::<f32>(&batch.frames, windows);
-        let nearest = self.contact.nearest(&positions, &body)?;
+        let mut positions = pool.frames(steps, self.skinner.vertex_count(), windows);
+        let mut targets = pool.frames(steps, self.held.vertex_count(), windows);
+        let joints = clock.time("skinning", || {
+            let joints = self.skinner.joint_frames(&track.transforms(&batch.frames), windows)?;
+            self.skinner.forward_scaled(&joints, Some(&output), self.output_scale, &mut positions)?;
+            self.held.forward(&joints, None, &mut targets)?;
+            Ok(joints)
+        })?;
+        // Free for what follows.
+        drop(output);
+        let mut body = pool.frames(steps, track.vertices(), windows);
+        let mut normals = pool.frames(steps, track.vertices(), windows);
+        clock.time("body", || track.gather_into(&batch.frames, &mut body, &mut normals))?;
+        let mut nearest = Vec::new();
+        clock.time("contact search", || self.contact.nearest_into(&positions, &body, &mut nearest))?;
         let state = State::new(&positions)
             .with_body(BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) })
             .with_targets(&targets);
-        let mut gradient = Frames::zeros(steps, self.skinner.vertex_count(), windows);
+        let mut gradient = pool.frames(steps, self.skinner.vertex_count(), windows);
+        gradient.clear();
         let scale = 1.0 / (steps * windows) as f64;
         let dynamics = if batch.scans { Dynamics::Static } else { Dynamics::Moving };
         let mut energies = self.physics.add(&state, dynamics, scale, Some(&mut gradient))?;
@@ -287,12 +324,14 @@ impl<'a> GarmentLearner<'a> {
             let state = state.with_scans(&clouds);
             let mut squared = vec![0.0; batch.frames.len()];
             if self.scan_weight > 0.0 {
-                self.chamfer.add(&state, self.scan_weight * scale, &mut squared, Some(&mut gradient))?;
+                clock.time("scan", || {
+                    self.chamfer.add(&state, self.scan_weight * scale, &mut squared, Some(&mut gradient))
+                })?;
             }
             energies.push(("scan", squared.iter().sum::<f64>()));
         }
         if self.frame_clip > 0.0 {
-            limit_frames(&mut gradient, self.frame_clip);
+            clock.time("limit of frames", || limit_frames(&mut gradient, self.frame_clip));
         }
         Ok(Pass { positions, gradient, energies, features: inputs, joints, tape, steps, windows })
     }
@@ -300,9 +339,10 @@ impl<'a> GarmentLearner<'a> {
     /// Carries a pass's gradient back into the net's parameters.
     pub fn backward(&mut self, pass: &Pass) -> Result<()> {
         let outputs = self.net.manifest().outputs;
-        let mut displacement = vec![0.0f32; pass.steps * pass.windows * outputs];
-        self.skinner.vjp(&pass.joints, &pass.gradient, &mut displacement)?;
-        displacement.iter_mut().for_each(|d| *d *= self.output_scale);
+        let mut displacement = self.pool.values(pass.steps * pass.windows * outputs);
+        self.clock.time("skinning backward", || {
+            self.skinner.vjp_scaled(&pass.joints, &pass.gradient, self.output_scale, &mut displacement)
+        })?;
         let mut block = BackwardBlock {
             steps: pass.steps,
             batch: pass.windows,
@@ -314,19 +354,21 @@ impl<'a> GarmentLearner<'a> {
             parameter_gradient: (&mut self.gradient[..]).into(),
             feature_gradient: Out::absent(),
         };
-        self.net.backward(BackwardCall::F32(&mut block))
+        self.clock.time("net backward", || self.net.backward(BackwardCall::F32(&mut block)))
     }
 
     /// One step of Adam; returns the gradient's norm before it was shortened.
     pub fn step(&mut self, learning_rate: f64, clip_norm: f64) -> Result<f64> {
         self.adam.learning_rate = learning_rate as f32;
-        self.adam.step(
-            Some(clip_norm as f32),
-            &mut self.parameters,
-            &mut self.gradient,
-            &mut self.first_moment,
-            &mut self.second_moment,
-        )
+        self.clock.time("Adam", || {
+            self.adam.step(
+                Some(clip_norm as f32),
+                &mut self.parameters,
+                &mut self.gradient,
+                &mut self.first_moment,
+                &mut self.second_moment,
+            )
+        })
     }
 
     /// State for a checkpoint.
@@ -363,32 +405,45 @@ impl<'a> GarmentLearner<'a> {
 /// Shortens the gradient of each frame to at most `factor` times the median length over the batch. Frames whose gradient is not
 /// finite are left for the optimiser to refuse.
 fn limit_frames(gradient: &mut Frames<f32>, factor: f64) {
-    let lanes = gradient.lanes_used();
-    let width = <f32 as Real>::LANES;
-    let mut lengths = vec![0.0f64; gradient.blocks() * width];
-    for block in 0..gradient.blocks() {
-        let sums = &mut lengths[block * width..(block + 1) * width];
-        for row in gradient.block(block).chunks_exact(width) {
-            for (sum, g) in sums.iter_mut().zip(row) {
-                *sum += f64::from(*g) * f64::from(*g);
-            }
-        }
+    let (lanes, n) = (gradient.lanes_used(), gradient.block_len());
+    if n == 0 {
+        return;
     }
-    let mut sorted: Vec<f64> =
-        lengths.chunks(width).flat_map(|block| block[..lanes].iter().map(|s| s.sqrt())).collect();
+    let squares: Vec<[f64; LANES]> = gradient.data().par_chunks(n).map(lane_squares).collect();
+    let lengths: Vec<[f64; LANES]> = squares.iter().map(|block| block.map(f64::sqrt)).collect();
+    let mut sorted: Vec<f64> = lengths.iter().flat_map(|block| block[..lanes].iter().copied()).collect();
     sorted.sort_by(f64::total_cmp);
     let most = factor * sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-    for block in 0..gradient.blocks() {
-        let factors: Vec<f32> = lengths[block * width..(block + 1) * width]
-            .iter()
-            .map(|s| if s.sqrt() > most && most > 0.0 { (most / s.sqrt()) as f32 } else { 1.0 })
-            .collect();
-        if factors.iter().all(|f| *f == 1.0) {
-            continue;
+    gradient.data_mut().par_chunks_mut(n).zip(&lengths).for_each(|(block, lengths)| {
+        let factors = lengths.map(|length| if length > most && most > 0.0 { (most / length) as f32 } else { 1.0 });
+        if factors.iter().any(|f| *f != 1.0) {
+            scale_lanes(&factors, block);
         }
-        for row in gradient.block_mut(block).chunks_exact_mut(width) {
-            for (g, f) in row.iter_mut().zip(&factors) {
-                *g *= f;
+    });
+}
+
+const LANES: usize = <f32 as Real>::LANES;
+
+simd_kernel! {
+    /// Σ x² of each lane of a block, in double precision.
+    fn lane_squares<T>(block: &[T]) -> [f64; LANES] {
+        let mut sums = [0.0; LANES];
+        for row in block.chunks_exact(LANES) {
+            for l in 0..LANES {
+                let x = row[l].to_f64();
+                sums[l] += x * x;
+            }
+        }
+        sums
+    }
+}
+
+simd_kernel! {
+    /// Multiplies each lane of a block by a factor of its own.
+    fn scale_lanes<T>(factors: &[T; LANES], block: &mut [T]) {
+        for row in block.chunks_exact_mut(LANES) {
+            for l in 0..LANES {
+                row[l] *= factors[l];
             }
         }
     }

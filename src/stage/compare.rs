@@ -200,7 +200,7 @@ impl Bench<'_> {
     fn energies(&self, track: &BodyTrack, frame: usize, shape: &[Vec3]) -> Result<TermEnergies> {
         let mut positions = Frames::<f64>::zeros(1, shape.len(), 1);
         positions.set_frame(0, 0, shape)?;
-        let (body, normals) = track.gather::<f64>(&[frame], 1);
+        let (body, normals) = track.gather::<f64>(&[frame], 1)?;
         let nearest = self.contact.nearest(&positions, &body)?;
         let mut targets = Frames::zeros(1, self.holder.vertex_count(), 1);
         self.holder.forward(&self.holder.joint_frames(&track.transforms(&[frame]), 1)?, None, &mut targets)?;

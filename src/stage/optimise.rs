@@ -56,7 +56,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets) -> Result<Esti
         for (frame, shape) in shapes.iter().enumerate() {
             positions.set_frame(frame / lanes, frame % lanes, shape)?;
         }
-        let (body, normals) = track.gather::<f64>(&frames, lanes);
+        let (body, normals) = track.gather::<f64>(&frames, lanes)?;
         let nearest = scene.contact(fitted)?.nearest(&positions, &body)?;
         let table = &context.config.garment(fitted.kind)?.material;
         let start = material(table, config_key(fitted.kind), trained.material.as_deref())?;

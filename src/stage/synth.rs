@@ -174,7 +174,7 @@ pub fn drape(
     let holder = skinner.select(physics.attachment.vertices())?;
     let mut targets = Frames::zeros(blocks, holder.vertex_count(), lanes);
     holder.forward(&holder.joint_frames(&transforms, lanes)?, None, &mut targets)?;
-    let (mut body, mut normals) = track.gather::<f64>(&ids, lanes);
+    let (mut body, mut normals) = track.gather::<f64>(&ids, lanes)?;
     if let Some((faces, shapes)) = under {
         let mut other = Frames::zeros(blocks, shapes.first().map_or(0, Vec::len), lanes);
         for (slot, &id) in ids.iter().enumerate() {

@@ -18,8 +18,23 @@ pub struct Frames<T> {
 impl<T: Real> Frames<T> {
     /// Zeros for `blocks` time steps of `lanes_used <= T::LANES` windows.
     pub fn zeros(blocks: usize, vertices: usize, lanes_used: usize) -> Self {
+        // Fresh zeros come cheaper from the system than by growing.
+        Self::with_memory(vec![T::zero(); blocks * Self::length_of_block(vertices)], blocks, vertices, lanes_used)
+    }
+    /// The same shape in memory that was used before: values are what it held, or zeros where it grows.
+    pub fn with_memory(memory: Vec<T>, blocks: usize, vertices: usize, lanes_used: usize) -> Self {
         assert!((1..=T::LANES).contains(&lanes_used), "lanes_used = {lanes_used} must lie in 1..={}", T::LANES);
-        Self { blocks, vertices, lanes_used, data: vec![T::zero(); blocks * vertices * 3 * T::LANES] }
+        let mut data = memory;
+        data.resize(blocks * Self::length_of_block(vertices), T::zero());
+        Self { blocks, vertices, lanes_used, data }
+    }
+    /// The memory, to be used again.
+    pub fn into_memory(self) -> Vec<T> {
+        self.data
+    }
+    /// Values per block of so many vertices.
+    pub const fn length_of_block(vertices: usize) -> usize {
+        vertices * 3 * T::LANES
     }
     /// Number of blocks (time steps).
     pub fn blocks(&self) -> usize {
@@ -105,5 +120,7 @@ mod tests {
         assert_eq!(frames.get(1, 15, 2), points[2]);
         assert_eq!(frames.get(1, 0, 2), Vec3::zeros());
         assert!(frames.set_frame(0, 0, &points[..2]).is_err());
+        let again = Frames::with_memory(frames.into_memory(), 1, 7, 16);
+        assert_eq!((again.block_len(), again.get(0, 15, 6)), (again.data().len(), Vec3::zeros()));
     }
 }

@@ -12,6 +12,10 @@ use serde::{Deserialize, Serialize};
 const MAX_LANES: usize = 16;
 /// Entries of a blend transform.
 const ENTRIES: usize = 12;
+/// Vertices of a block that one thread skins in a row.
+const PART: usize = 512;
+/// Values of each lane that are turned from windows to lanes, or back, at a time: whole vertices.
+const TILE: usize = 48;
 
 /// How garment weights w_G are made from the body's: the paper's copy of the nearest body vertex, or that copy smoothed.
 ///
@@ -293,6 +297,20 @@ impl<T: Real> Skinner<T> {
     /// # Errors
     /// [`Error::Length`] for shapes that do not fit.
     pub fn forward(&self, joints: &JointFrames<T>, displacement: Option<&[T]>, out: &mut Frames<T>) -> Result<()> {
+        self.forward_scaled(joints, displacement, T::one(), out)
+    }
+
+    /// [`Skinner::forward`] of `scale` times the displacement, rounded once more.
+    ///
+    /// # Errors
+    /// As [`Skinner::forward`].
+    pub fn forward_scaled(
+        &self,
+        joints: &JointFrames<T>,
+        displacement: Option<&[T]>,
+        scale: T,
+        out: &mut Frames<T>,
+    ) -> Result<()> {
         self.check("skinned positions", joints, out)?;
         let per_block = joints.lanes_used * 3 * self.vertex_count();
         if let Some(d) = displacement {
@@ -302,12 +320,45 @@ impl<T: Real> Skinner<T> {
         if n == 0 {
             return Ok(());
         }
-        let garment = (&self.template[..], &self.offsets[..], &self.entries[..]);
+        // Blocks are few: parts of them keep all threads busy to the end.
+        let width = 3 * self.vertex_count();
         out.data_mut().par_chunks_mut(n).enumerate().for_each(|(block, out)| {
             let dv = displacement.map_or(&[][..], |d| &d[block * per_block..][..per_block]);
-            to_lanes(dv, lanes, out);
-            blend_points(garment, joints.block(block), out);
+            out.par_chunks_mut(PART * 3 * T::LANES).enumerate().for_each(|(part, out)| {
+                let first = part * PART;
+                to_lanes(dv, width, 3 * first, lanes, out);
+                blend_points(self.rows(first), joints.block(block), scale, out);
+            });
         });
+        Ok(())
+    }
+
+    /// One pose alone: `scale` times a displacement dV [m], shape [3 V], skinned by the transforms A_j of a frame, to positions
+    /// [m], shape [V]. The bits of [`Skinner::forward_scaled`]; but where that fills its lanes with other frames, here a
+    /// lane holds an entry of the transform.
+    ///
+    /// # Errors
+    /// [`Error::Length`] for shapes that do not fit.
+    pub fn pose(
+        &self,
+        transforms: &[Matrix3x4<f64>],
+        displacement: &[T],
+        scale: T,
+        out: &mut Vec<[T; 3]>,
+    ) -> Result<()> {
+        let needed = self.joints.last().map_or(0, |j| j + 1);
+        if transforms.len() < needed {
+            let what = "joint transforms of a frame".into();
+            return Err(Error::Length { what, expected: needed, got: transforms.len() });
+        }
+        Error::check_length("displacements dV, [3 V]", 3 * self.vertex_count(), displacement.len())?;
+        let row = |&joint: &usize| {
+            let by_rows = transforms[joint].transpose();
+            std::array::from_fn(|i| by_rows.get(i).map_or(T::zero(), |&a| T::of(a)))
+        };
+        let rows: Vec<[T; MAX_LANES]> = self.joints.iter().map(row).collect();
+        out.resize(self.vertex_count(), [T::zero(); 3]);
+        blend_pose(self.rows(0), &rows, displacement.as_chunks().0, scale, out);
         Ok(())
     }
 
@@ -317,18 +368,41 @@ impl<T: Real> Skinner<T> {
     /// # Errors
     /// [`Error::Length`] for shapes that do not fit.
     pub fn vjp(&self, joints: &JointFrames<T>, gradient: &Frames<T>, out: &mut [T]) -> Result<()> {
+        self.vjp_scaled(joints, gradient, T::one(), out)
+    }
+
+    /// `scale` times [`Skinner::vjp`]: the gradient by what [`Skinner::forward_scaled`] scales.
+    ///
+    /// # Errors
+    /// As [`Skinner::vjp`].
+    pub fn vjp_scaled(&self, joints: &JointFrames<T>, gradient: &Frames<T>, scale: T, out: &mut [T]) -> Result<()> {
         self.check("gradient of skinned positions", joints, gradient)?;
         let per_block = joints.lanes_used * 3 * self.vertex_count();
         Error::check_length("gradient of dV, [step][window][3 V]", joints.blocks * per_block, out.len())?;
         if per_block == 0 {
             return Ok(());
         }
-        let garment = (&self.template[..], &self.offsets[..], &self.entries[..]);
-        let lanes = joints.lanes_used;
-        out.par_chunks_mut(per_block)
-            .enumerate()
-            .for_each(|(block, out)| blend_back(garment, joints.block(block), lanes, gradient.block(block), out));
+        let width = 3 * self.vertex_count();
+        out.par_chunks_mut(per_block).enumerate().for_each(|(block, out)| {
+            // Rows of windows, cut alike into parts of vertices.
+            let mut parts: Vec<Vec<&mut [T]>> = Vec::new();
+            parts.resize_with(self.vertex_count().div_ceil(PART), || Vec::with_capacity(joints.lanes_used));
+            for window in out.chunks_exact_mut(width) {
+                for (part, piece) in parts.iter_mut().zip(window.chunks_mut(3 * PART)) {
+                    part.push(piece);
+                }
+            }
+            parts.into_par_iter().enumerate().for_each(|(part, mut windows)| {
+                let first = part * PART;
+                let gradient = &gradient.block(block)[first * 3 * T::LANES..];
+                blend_back(self.rows(first), joints.block(block), scale, gradient, &mut windows);
+            });
+        });
         Ok(())
+    }
+    /// The garment from a vertex on.
+    fn rows(&self, first: usize) -> Rows<'_, T> {
+        (&self.template[first..], &self.offsets[first..], &self.entries)
     }
     fn check(&self, what: &str, joints: &JointFrames<T>, frames: &Frames<T>) -> Result<()> {
         Error::check_length("joints of the transforms", self.joints.len(), joints.joints)?;
@@ -341,21 +415,24 @@ impl<T: Real> Skinner<T> {
 /// Template, row offsets, entries of a [`Skinner`].
 type Rows<'a, T> = (&'a [[T; 3]], &'a [u32], &'a [(u32, T)]);
 
-/// Net layout `[window][3 V]` of one block to lanes `[vertex][xyz][lane]`; zeros for an empty `values`.
+/// Net layout `[window][3 V]` (rows of `width`) of one block to lanes `[vertex][xyz][lane]`, from value `first` of each window on;
+/// zeros for an empty `values`.
 ///
-/// Outside the kernels on purpose: with AVX-512 the compiler would make gathers of it, five times slower.
-fn to_lanes<T: Real>(values: &[T], used: usize, out: &mut [T]) {
-    let width = out.len() / T::LANES;
+/// Outside the kernels on purpose: with AVX-512 the compiler would make gathers of it, five times slower. In tiles: read along
+/// windows, written along lanes, both within reach of the first cache.
+fn to_lanes<T: Real>(values: &[T], width: usize, first: usize, used: usize, out: &mut [T]) {
     if values.is_empty() {
         out.fill(T::zero());
         return;
     }
-    for (at, row) in out.chunks_exact_mut(T::LANES).enumerate() {
-        for l in 0..used {
-            row[l] = values[l * width + at];
+    for (tile, out) in out.chunks_mut(TILE * T::LANES).enumerate() {
+        let count = out.len() / T::LANES;
+        for lane in 0..T::LANES {
+            let from = &values[lane.min(used - 1) * width + first + tile * TILE..][..count];
+            for (slot, value) in out[lane..].iter_mut().step_by(T::LANES).zip(from) {
+                *slot = *value;
+            }
         }
-        let last = row[used - 1];
-        row[used..].fill(last);
     }
 }
 
@@ -372,17 +449,17 @@ fn blend<T: Real>(entries: &[(u32, T)], joints: &[T], m: &mut [T; ENTRIES * MAX_
 }
 
 simd_kernel! {
-    /// dV to Σ w_j A_j (V_T + dV) of one block, in place.
-    fn blend_points<T>(garment: Rows<'_, T>, joints: &[T], points: &mut [T]) {
+    /// dV to Σ w_j A_j (V_T + scale dV) of some vertices of one block, in place.
+    fn blend_points<T>(garment: Rows<'_, T>, joints: &[T], scale: T, points: &mut [T]) {
         let lanes = T::LANES;
         let (template, offsets, entries) = garment;
         for (v, (point, out)) in template.iter().zip(points.chunks_exact_mut(3 * lanes)).enumerate() {
             let mut m = [T::zero(); ENTRIES * MAX_LANES];
             blend(&entries[offsets[v] as usize..offsets[v + 1] as usize], joints, &mut m);
             for l in 0..lanes {
-                let x = point[0] + out[l];
-                let y = point[1] + out[lanes + l];
-                let z = point[2] + out[2 * lanes + l];
+                let x = point[0] + scale * out[l];
+                let y = point[1] + scale * out[lanes + l];
+                let z = point[2] + scale * out[2 * lanes + l];
                 out[l] = m[l] * x + m[lanes + l] * y + m[2 * lanes + l] * z + m[3 * lanes + l];
                 out[lanes + l] = m[4 * lanes + l] * x + m[5 * lanes + l] * y + m[6 * lanes + l] * z + m[7 * lanes + l];
                 out[2 * lanes + l] = m[8 * lanes + l] * x + m[9 * lanes + l] * y + m[10 * lanes + l] * z + m[11 * lanes + l];
@@ -392,25 +469,48 @@ simd_kernel! {
 }
 
 simd_kernel! {
-    /// Mᵀ f of one block, to the net's layout.
-    fn blend_back<T>(garment: Rows<'_, T>, joints: &[T], used: usize, gradient: &[T], out: &mut [T]) {
-        let lanes = T::LANES;
+    /// Σ w_j A_j (V_T + scale dV) of one pose; a row per joint holds the entries of A_j.
+    fn blend_pose<T>(garment: Rows<'_, T>, joints: &[[T; MAX_LANES]], displacement: &[[T; 3]], scale: T, out: &mut [[T; 3]]) {
         let (template, offsets, entries) = garment;
-        let width = 3 * template.len();
-        for (v, f) in gradient.chunks_exact(3 * lanes).enumerate() {
+        for (v, ((point, d), out)) in template.iter().zip(displacement).zip(out).enumerate() {
+            let mut m = [T::zero(); MAX_LANES];
+            for &(joint, w) in &entries[offsets[v] as usize..offsets[v + 1] as usize] {
+                let a = &joints[joint as usize];
+                for i in 0..MAX_LANES {
+                    m[i] += w * a[i];
+                }
+            }
+            let [x, y, z] = [0, 1, 2].map(|k| point[k] + scale * d[k]);
+            *out = [0, 4, 8].map(|i| m[i] * x + m[i + 1] * y + m[i + 2] * z + m[i + 3]);
+        }
+    }
+}
+
+simd_kernel! {
+    /// scale Mᵀ f of some vertices of one block, to the net's layout: a row per window in use.
+    fn blend_back<T>(garment: Rows<'_, T>, joints: &[T], scale: T, gradient: &[T], windows: &mut [&mut [T]]) {
+        let lanes = T::LANES;
+        let (_, offsets, entries) = garment;
+        let count = windows.first().map_or(0, |w| w.len() / 3);
+        let mut tile = [T::zero(); TILE * MAX_LANES];
+        for v in 0..count {
+            let f = &gradient[v * 3 * lanes..][..3 * lanes];
             let mut m = [T::zero(); ENTRIES * MAX_LANES];
             blend(&entries[offsets[v] as usize..offsets[v + 1] as usize], joints, &mut m);
-            let mut g = [T::zero(); 3 * MAX_LANES];
+            let g = &mut tile[v * 3 % TILE * lanes..][..3 * lanes];
             for l in 0..lanes {
                 for k in 0..3 {
                     let i = k * lanes + l;
-                    g[i] = m[i] * f[l] + m[4 * lanes + i] * f[lanes + l] + m[8 * lanes + i] * f[2 * lanes + l];
+                    g[i] = scale * (m[i] * f[l] + m[4 * lanes + i] * f[lanes + l] + m[8 * lanes + i] * f[2 * lanes + l]);
                 }
             }
-            for l in 0..used {
-                let out = &mut out[l * width + 3 * v..][..3];
-                for k in 0..3 {
-                    out[k] = g[k * lanes + l];
+            let filled = v * 3 % TILE + 3;
+            if filled == TILE || v + 1 == count {
+                for (l, window) in windows.iter_mut().enumerate() {
+                    let from = tile[l..].iter().step_by(lanes);
+                    for (slot, value) in window[3 * (v + 1) - filled..3 * (v + 1)].iter_mut().zip(from) {
+                        *slot = *value;
+                    }
                 }
             }
         }

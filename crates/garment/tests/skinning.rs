@@ -103,6 +103,66 @@ fn the_product_with_the_jacobian_is_its_transpose() {
     assert!((left - right).abs() < 1e-12 * left.abs(), "{left} {right}");
 }
 
+/// More vertices than a thread takes in a row and than a tile holds, checked against the same vertices in small pieces; and a
+/// single pose, and scaled displacements.
+#[test]
+fn large_garments_pieces_and_single_poses_give_the_same_bits() {
+    let case = case();
+    let count = 1100;
+    let template: Vec<Vec3> = (0..count).map(|v| case.template[v % 37] * (1.0 + v as f64 * 1e-3)).collect();
+    let weights =
+        BlendWeights::from_rows((0..count).map(|v| case.weights.row(v % 37).map(|(j, w)| (j as u16, w)).collect()));
+    let skinner = Skinner::<f32>::new(&template, &weights).unwrap();
+    let joints = skinner.joint_frames(&views(&case), WINDOWS).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut random = |n: usize| -> Vec<f32> { (0..n).map(|_| rng.random_range(-1.0..1.0)).collect() };
+    let scale = 0.03;
+    let dv = random(BLOCKS * WINDOWS * 3 * count);
+    let scaled: Vec<f32> = dv.iter().map(|d| scale * d).collect();
+    let mut all = Frames::zeros(BLOCKS, count, WINDOWS);
+    skinner.forward_scaled(&joints, Some(&dv), scale, &mut all).unwrap();
+    let mut same = all.clone();
+    skinner.forward(&joints, Some(&scaled), &mut same).unwrap();
+    assert!(all == same);
+    let mut upstream = Frames::zeros(BLOCKS, count, WINDOWS);
+    let cotangents = random(upstream.data().len());
+    upstream.data_mut().copy_from_slice(&cotangents);
+    let mut back = vec![f32::NAN; dv.len()];
+    skinner.vjp_scaled(&joints, &upstream, scale, &mut back).unwrap();
+    let mut unscaled = vec![f32::NAN; dv.len()];
+    skinner.vjp(&joints, &upstream, &mut unscaled).unwrap();
+    assert!(back.iter().zip(&unscaled).all(|(a, b)| *a == scale * b));
+    for first in (0..count).step_by(13) {
+        let vertices: Vec<u32> = (first as u32..count as u32).take(13).collect();
+        let n = vertices.len();
+        let piece = skinner.select(&vertices).unwrap();
+        let cut = |values: &[f32]| -> Vec<f32> {
+            values.chunks_exact(3 * count).flat_map(|row| row[3 * first..3 * (first + n)].to_vec()).collect()
+        };
+        let mut some = Frames::zeros(BLOCKS, n, WINDOWS);
+        piece.forward(&joints, Some(&cut(&scaled)), &mut some).unwrap();
+        let mut some_upstream = Frames::zeros(BLOCKS, n, WINDOWS);
+        for block in 0..BLOCKS {
+            let width = 3 * <f32 as Real>::LANES;
+            assert_eq!(some.block(block), &all.block(block)[first * width..][..n * width]);
+            some_upstream.block_mut(block).copy_from_slice(&upstream.block(block)[first * width..][..n * width]);
+        }
+        let mut some_back = vec![f32::NAN; BLOCKS * WINDOWS * 3 * n];
+        piece.vjp(&joints, &some_upstream, &mut some_back).unwrap();
+        assert_eq!(some_back, cut(&unscaled));
+    }
+    for frame in 0..BLOCKS * WINDOWS {
+        let mut posed = Vec::new();
+        skinner.pose(&case.transforms[frame], &dv[frame * 3 * count..][..3 * count], scale, &mut posed).unwrap();
+        for (v, p) in posed.iter().enumerate() {
+            let expected = all.get(frame / WINDOWS, frame % WINDOWS, v);
+            assert_eq!(p.map(f64::from), [expected.x, expected.y, expected.z]);
+        }
+        assert!(skinner.pose(&case.transforms[frame][..8], &dv[..3 * count], scale, &mut posed).is_err());
+        assert!(skinner.pose(&case.transforms[frame], &dv[..3], scale, &mut posed).is_err());
+    }
+}
+
 #[test]
 fn threads_do_not_change_bits_and_wrong_shapes_are_refused() {
     let case = case();

@@ -27,7 +27,7 @@ pub use friction::Friction;
 pub use gravity::Gravity;
 pub use inertia::{Inertia, InertiaRule};
 pub use layering::{Layer, Layering, LayeringOptions, LayeringOrder};
-pub use normals::frame_normals;
+pub use normals::{frame_normals, frame_normals_into};
 pub use single::{Single, SingleBody, SingleTerm};
 pub use strain::Strain;
 pub use tangent::{EnergyTangent, Stencil, Tangent};

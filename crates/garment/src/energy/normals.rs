@@ -10,12 +10,23 @@ use rayon::prelude::*;
 /// # Errors
 /// [`Error::Mesh`] for a face that names a vertex that the frames do not have.
 pub fn frame_normals<T: Real>(positions: &Frames<T>, faces: &[[u32; 3]]) -> Result<Frames<T>> {
+    let mut out = Frames::zeros(positions.blocks(), positions.vertices(), positions.lanes_used());
+    frame_normals_into(positions, faces, &mut out)?;
+    Ok(out)
+}
+
+/// [`frame_normals`] into frames of the same shape, whatever they held.
+///
+/// # Errors
+/// As [`frame_normals`]; [`Error::Length`] for another shape.
+pub fn frame_normals_into<T: Real>(positions: &Frames<T>, faces: &[[u32; 3]], out: &mut Frames<T>) -> Result<()> {
     let n = positions.vertices();
     if let Some(face) = faces.iter().position(|f| f.iter().any(|&id| id as usize >= n)) {
         let problem = format!("names vertices {:?} but the frames have {n}", faces[face]);
         return Err(Error::mesh("posed mesh", format!("face {face}"), problem, "give the faces of the posed part"));
     }
-    let mut out = Frames::zeros(positions.blocks(), n, positions.lanes_used());
+    Error::check_length("vertices of normals", n, out.vertices())?;
+    super::check_same_frames("normals", positions, out)?;
     let block_len = out.block_len();
     if block_len > 0 {
         out.data_mut()
@@ -23,13 +34,14 @@ pub fn frame_normals<T: Real>(positions: &Frames<T>, faces: &[[u32; 3]]) -> Resu
             .enumerate()
             .for_each(|(block, normals)| block_normals(faces, positions.block(block), normals));
     }
-    Ok(out)
+    Ok(())
 }
 
 simd_kernel! {
     /// Sums face normals at their corners, then normalises.
     fn block_normals<T>(faces: &[[u32; 3]], x: &[T], normals: &mut [T]) {
         let lanes = T::LANES;
+        normals.fill(T::zero());
         for face in faces {
             let (a, b, c) = (row(x, face[0]), row(x, face[1]), row(x, face[2]));
             let mut n = [T::zero(); 3 * MAX_LANES];
@@ -80,6 +92,10 @@ mod tests {
                 assert!((normals.get(frame / 2, frame % 2, v) - n).norm() < 1e-14);
             }
         }
+        let mut again = frames.clone();
+        frame_normals_into(&frames, &faces, &mut again).unwrap();
+        assert_eq!(again, normals);
         assert!(frame_normals(&frames, &[[0, 1, 5]]).is_err());
+        assert!(frame_normals_into(&frames, &faces, &mut Frames::zeros(2, 5, 3)).is_err());
     }
 }
