@@ -26,6 +26,7 @@ pub mod show;
 pub mod stage;
 pub mod track;
 pub mod trainer;
+pub mod training;
 
 /// The worked examples of CONTRIBUTING.md, compiled and run.
 #[cfg(doctest)]

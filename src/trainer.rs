@@ -2,6 +2,10 @@
 //!
 //! Nothing here knows a stage: `train` gives it one garment, `finetune` two.
 
+mod fault;
+
+pub use fault::Fault;
+
 use crate::config::TrainConfig;
 use crate::garment::{FittedGarment, TrainedGarment};
 use crate::physics::{Dynamics, GRAVITY, Physics, TermEnergies};
@@ -210,7 +214,7 @@ impl<'a> GarmentLearner<'a> {
         let n = trained.parameters.len();
         Ok(GarmentLearner {
             chamfer: Chamfer::new(&rest, Some(&scans.visible))?,
-            scan_weight: config.weights.scan,
+            scan_weight: physics.scan_weight(),
             rest,
             physics,
             skinner,
@@ -321,6 +325,11 @@ impl<'a> GarmentLearner<'a> {
         )
     }
 
+    /// Says which share of training is done, for the weights' schedules; a new learner stands at the end.
+    pub fn set_share(&mut self, share: f64) {
+        self.physics.set_share(share);
+        self.scan_weight = self.physics.scan_weight();
+    }
     /// State for a checkpoint.
     pub fn snapshot(&self) -> LearnerState {
         LearnerState {
