@@ -30,6 +30,7 @@ pub mod simulate;
 pub mod stage;
 pub mod track;
 pub mod trainer;
+pub mod training;
 
 /// The worked examples of CONTRIBUTING.md, compiled and run.
 #[cfg(doctest)]

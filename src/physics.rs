@@ -1,5 +1,9 @@
 //! A garment with everything that pulls at it: Eq. 6 term by term, with the configured weights.
 
+mod fault;
+
+pub use fault::PhysicsFault;
+
 use crate::config::{TermWeights, TrainConfig};
 use crate::trainer::StageClock;
 use caphy_core::lanes::Frames;
@@ -26,8 +30,11 @@ pub struct Physics<T> {
     collision: Collision<T>,
     /// Springs of the waistband: their vertices say which targets a state needs.
     pub attachment: Attachment<T>,
+    material: Arc<dyn MaterialModel>,
     weights: TermWeights,
     clock: StageClock,
+    /// Share of training that is done, for the weights' schedules.
+    share: f64,
 }
 
 /// What a batch asks for.
@@ -44,7 +51,8 @@ pub enum Dynamics {
 pub type TermEnergies = Vec<(&'static str, f64)>;
 
 impl<T: MaterialReal> Physics<T> {
-    /// All terms of a garment made of a material; `fps` sets the time step of inertia.
+    /// All terms of a garment made of a material; `fps` sets the time step of inertia. Weights are those at the end of training
+    /// until [`Physics::set_share`] says otherwise.
     pub fn new(
         rest: &GarmentRest,
         material: Arc<dyn MaterialModel>,
@@ -54,33 +62,44 @@ impl<T: MaterialReal> Physics<T> {
     ) -> Result<Self> {
         Ok(Self {
             strain: Strain::new(rest, material.clone()),
-            bending: Bending::new(rest, material, RestAngle::Template),
+            bending: Bending::new(rest, material.clone(), RestAngle::Template),
             gravity: Gravity::new(rest, GRAVITY),
             inertia: Inertia::new(rest, 1.0 / fps, InertiaRule::KnownVelocity)?,
             collision: Collision::new(rest, contact)?,
             attachment: Attachment::new(rest, WAISTBAND),
+            material,
             weights: weights.clone(),
             clock: StageClock::off(),
+            share: 1.0,
         })
     }
     /// Times each term by its name from now on.
     pub fn set_clock(&mut self, clock: StageClock) {
         self.clock = clock;
     }
+    /// Sets the share of training that is done.
+    pub fn set_share(&mut self, share: f64) {
+        self.share = share;
+    }
+    /// λ3d [J/m²] at this share of training, for who adds the scan term.
+    pub fn scan_weight(&self) -> f64 {
+        self.weights.scan.at(self.share)
+    }
     /// The same garment made of another material.
     pub fn set_material(&mut self, material: Arc<dyn MaterialModel>) {
         self.strain.set_material(material.clone());
-        self.bending.set_material(material);
+        self.bending.set_material(material.clone());
+        self.material = material;
     }
     fn terms(&self) -> [(&dyn EnergyTerm<T>, f64); 6] {
         let w = &self.weights;
         [
-            (&self.strain, w.strain),
-            (&self.bending, w.bending),
-            (&self.gravity, w.gravity),
-            (&self.inertia, w.inertia),
-            (&self.collision, w.collision),
-            (&self.attachment, w.attachment),
+            (&self.strain, w.strain.at(self.share)),
+            (&self.bending, w.bending.at(self.share)),
+            (&self.gravity, w.gravity.at(self.share)),
+            (&self.inertia, w.inertia.at(self.share)),
+            (&self.collision, w.collision.at(self.share)),
+            (&self.attachment, w.attachment.at(self.share)),
         ]
     }
     /// Strain plus bending energy summed over frames [J], unweighted: needs no body.
@@ -126,7 +145,7 @@ impl<T: MaterialReal> Physics<T> {
     }
 }
 
-/// The reference solver's forces for the energies that nets are trained with.
+/// The reference solver's forces for the energies that nets are trained with in the end.
 pub fn solver_forces(train: &TrainConfig) -> Forces {
     let w = &train.weights;
     Forces {
@@ -134,6 +153,6 @@ pub fn solver_forces(train: &TrainConfig) -> Forces {
         rest_angle: RestAngle::Template,
         contact: train.contact,
         attachment: WAISTBAND,
-        weights: [w.strain, w.bending, w.gravity, w.collision, w.attachment],
+        weights: [&w.strain, &w.bending, &w.gravity, &w.collision, &w.attachment].map(|weight| weight.at(1.0)),
     }
 }

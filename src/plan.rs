@@ -1,7 +1,7 @@
 //! The scene plan: what an experiment needs of everything that caphy can do. Derived once from configuration and data, printed by
 //! `caphy run --plan`, and obeyed: what is off is neither run nor allocated.
 
-use crate::config::{Config, SubjectConfig};
+use crate::config::{Config, Schedule, SubjectConfig};
 use crate::scene::Scene;
 use crate::stage::alternation_names;
 use crate::stage::preprocess::Subject;
@@ -224,19 +224,19 @@ impl ScenePlan {
 /// Energy terms of one garment's training, each with the reason why it is off.
 fn terms(config: &Config, subject: &Subject, waistband: bool) -> Result<Vec<(&'static str, Option<String>)>> {
     let w = &config.train.weights;
-    let weight = |name: &str, value: f64| (value == 0.0).then(|| format!("train.weights.{name} = 0"));
+    let weight = |name: &str, value: &Schedule| value.is_zero().then(|| format!("train.weights.{name} = 0"));
     let or = |first: Option<String>, holds: bool, why: &str| first.or_else(|| holds.then(|| why.to_string()));
     Ok(vec![
-        ("strain", weight("strain", w.strain)),
-        ("bending", weight("bending", w.bending)),
-        ("gravity", weight("gravity", w.gravity)),
+        ("strain", weight("strain", &w.strain)),
+        ("bending", weight("bending", &w.bending)),
+        ("gravity", weight("gravity", &w.gravity)),
         (
             "inertia",
-            or(weight("inertia", w.inertia), config.train.window < 3, "train.window < 3: no velocity is known"),
+            or(weight("inertia", &w.inertia), config.train.window < 3, "train.window < 3: no velocity is known"),
         ),
-        ("collision", weight("collision", w.collision)),
-        ("attachment", or(weight("attachment", w.attachment), !waistband, "the garment has no waistband")),
-        ("scan", or(weight("scan", w.scan), subject.training_scans().next().is_none(), "there are no scans")),
-        ("layering", or(weight("layering", w.layering), subject.garments.len() < 2, "there is one garment")),
+        ("collision", weight("collision", &w.collision)),
+        ("attachment", or(weight("attachment", &w.attachment), !waistband, "the garment has no waistband")),
+        ("scan", or(weight("scan", &w.scan), subject.training_scans().next().is_none(), "there are no scans")),
+        ("layering", or(weight("layering", &w.layering), subject.garments.len() < 2, "there is one garment")),
     ])
 }

@@ -1,5 +1,9 @@
 //! Progress for people: a bar with the remaining time on a terminal, plain lines elsewhere.
 
+mod pace;
+
+pub use pace::{Pace, Work};
+
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::Mutex;
@@ -15,7 +19,7 @@ pub struct Progress {
 
 struct Lines {
     last: Instant,
-    from: Option<(Instant, f64)>,
+    growth: pace::Growth,
 }
 
 const STEPS: f64 = 1000.0;
@@ -27,9 +31,8 @@ impl Progress {
     pub fn start(stage: &str) -> Self {
         let bar = std::io::stderr().is_terminal().then(|| {
             let bar = ProgressBar::new(STEPS as u64);
-            let style =
-                ProgressStyle::with_template("{prefix:>12} {bar:36} {percent:>3}% {elapsed} left {eta} {wide_msg}")
-                    .unwrap_or_else(|_| ProgressStyle::default_bar());
+            let style = ProgressStyle::with_template("{prefix:>12} {bar:36} {percent:>3}% {elapsed} {wide_msg}")
+                .unwrap_or_else(|_| ProgressStyle::default_bar());
             bar.set_style(style);
             bar.set_prefix(stage.to_string());
             bar
@@ -38,7 +41,8 @@ impl Progress {
             eprintln!("{stage:>12} started");
         }
         let started = Instant::now();
-        Self { stage: stage.into(), bar, started, lines: Mutex::new(Lines { last: started, from: None }) }
+        let lines = Lines { last: started, growth: pace::Growth::default() };
+        Self { stage: stage.into(), bar, started, lines: Mutex::new(lines) }
     }
     /// Shows nothing: for work that is over in a moment.
     pub fn silent() -> Self {
@@ -47,29 +51,32 @@ impl Progress {
             stage: String::new(),
             bar: Some(ProgressBar::hidden()),
             started,
-            lines: Mutex::new(Lines { last: started, from: None }),
+            lines: Mutex::new(Lines { last: started, growth: pace::Growth::default() }),
         }
     }
-    /// Sets the share done, in [0, 1], with a short word on what is going on.
+    /// Sets the share done, in [0, 1], with a short word on what is going on. What is left is judged by how fast the share grew
+    /// in this process.
     pub fn set(&self, share: f64, message: &str) {
         let share = share.clamp(0.0, 1.0);
+        let Ok(mut lines) = self.lines.lock() else { return };
+        let left = lines.growth.left(self.started.elapsed().as_secs_f64(), share);
+        self.show(&mut lines, share, left, message);
+    }
+    /// As [`Progress::set`], by a caller who knows better how many seconds are left.
+    pub fn set_left(&self, share: f64, left: Option<f64>, message: &str) {
+        let Ok(mut lines) = self.lines.lock() else { return };
+        self.show(&mut lines, share.clamp(0.0, 1.0), left, message);
+    }
+    fn show(&self, lines: &mut Lines, share: f64, left: Option<f64>, message: &str) {
         if let Some(bar) = &self.bar {
             bar.set_position((share * STEPS) as u64);
-            bar.set_message(message.to_string());
+            bar.set_message(format!("{}, {message}", pace::words(left)));
             return;
         }
-        let Ok(mut lines) = self.lines.lock() else { return };
         let now = Instant::now();
-        // A resumed stage starts above zero: only what this process did says how fast it goes.
-        let (t0, s0) = *lines.from.get_or_insert((now, share));
         if now - lines.last >= LINE_EVERY {
             lines.last = now;
-            let left = if share > s0 {
-                format!("{:.0} s left", (now - t0).as_secs_f64() * (1.0 - share) / (share - s0))
-            } else {
-                "remaining time not known yet".into()
-            };
-            eprintln!("{:>12} {:3.0} %, {left}, {message}", self.stage, 100.0 * share);
+            eprintln!("{:>12} {:3.0} %, {}, {message}", self.stage, (100.0 * share).floor(), pace::words(left));
         }
     }
     /// Prints a line that stays.

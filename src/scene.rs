@@ -70,6 +70,10 @@ impl Scene {
     }
     /// The configured motion.
     pub fn motion(&self, context: &Context<'_>) -> Result<MotionFrames> {
+        Ok(self.named_motion(context)?.0)
+    }
+    /// The configured motion, with its clips' names and first frames.
+    pub fn named_motion(&self, context: &Context<'_>) -> Result<(MotionFrames, Vec<(String, usize)>)> {
         let clips = motion::load_all(context.files, &context.config.motion, &self.rest_joints[0])?;
         let windows = MotionWindows::new(&clips, context.config.train.window)?;
         if windows.report.dropped_windows > 0 {
@@ -85,7 +89,8 @@ impl Scene {
         let starts = windows.starts.iter().map(|start| first[start.clip] + start.frame).collect();
         let limit = context.config.train.keep_bodies_mib.saturating_mul(1 << 20);
         let track = BodyTrack::within(limit, &self.body, &self.subject, &self.reach, &poses)?;
-        Ok(MotionFrames { track, starts, has_before, fps: context.config.motion.fps })
+        let names = clips.iter().map(|prepared| prepared.clip.name.clone()).zip(first).collect();
+        Ok((MotionFrames { track, starts, has_before, fps: context.config.motion.fps }, names))
     }
     /// How much motion there is to train on, without posing a body.
     pub fn windows(&self, context: &Context<'_>) -> Result<PlannedMotion> {
@@ -97,6 +102,43 @@ impl Scene {
     pub fn scan_track(&self, subject: &Subject) -> Result<Arc<BodyTrack>> {
         let poses: Vec<Pose> = subject.training_scans().map(|s| s.pose.clone()).collect();
         Ok(Arc::new(self.track(&poses)?))
+    }
+}
+
+/// What frames of training are called by people.
+#[derive(Debug, Clone, Default)]
+pub struct FrameNames {
+    /// Clips with their first frames in the track of the motion, in its order.
+    pub clips: Vec<(String, usize)>,
+    /// Scans, one per frame of their track.
+    pub scans: Vec<String>,
+}
+
+impl FrameNames {
+    /// For the clips of [`Scene::named_motion`] and the frames of [`Scene::scan_track`].
+    pub fn new(clips: Vec<(String, usize)>, subject: &Subject) -> FrameNames {
+        FrameNames { clips, scans: subject.training_scans().map(|s| s.name.clone()).collect() }
+    }
+    /// In a sentence: clip and frame in it, counted from 0 at the motion's rate, or the scan.
+    pub fn long(&self, frame: usize, scans: bool) -> String {
+        match (scans, self.clip(frame)) {
+            (true, _) => format!("scan `{}`", self.scans.get(frame).map_or("?", |name| name)),
+            (false, Some((name, frame))) => format!("frame {frame} of clip `{name}`"),
+            (false, None) => format!("frame {frame}"),
+        }
+    }
+    /// Under a picture.
+    pub fn short(&self, frame: usize, scans: bool) -> String {
+        match (scans, self.clip(frame)) {
+            (true, _) => self.scans.get(frame).cloned().unwrap_or_default(),
+            (false, Some((name, frame))) => format!("{name} {frame}"),
+            (false, None) => format!("{frame}"),
+        }
+    }
+    fn clip(&self, frame: usize) -> Option<(&str, usize)> {
+        let clip = self.clips.partition_point(|(_, first)| *first <= frame).checked_sub(1)?;
+        let (name, first) = &self.clips[clip];
+        Some((name, frame - first))
     }
 }
 

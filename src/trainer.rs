@@ -3,11 +3,13 @@
 //! Nothing here knows a stage: `train` gives it one garment, `finetune` two.
 
 mod clock;
+mod fault;
 mod pool;
 #[cfg(test)]
 mod step_tests;
 
 pub use clock::StageClock;
+pub use fault::Fault;
 pub use pool::{Lent, Memory};
 
 use crate::config::TrainConfig;
@@ -231,7 +233,7 @@ impl<'a> GarmentLearner<'a> {
         let n = trained.parameters.len();
         Ok(GarmentLearner {
             chamfer: Chamfer::new(&rest, Some(&scans.visible))?,
-            scan_weight: config.weights.scan,
+            scan_weight: physics.scan_weight(),
             rest,
             physics,
             skinner,
@@ -371,6 +373,11 @@ impl<'a> GarmentLearner<'a> {
         })
     }
 
+    /// Says which share of training is done, for the weights' schedules; a new learner stands at the end.
+    pub fn set_share(&mut self, share: f64) {
+        self.physics.set_share(share);
+        self.scan_weight = self.physics.scan_weight();
+    }
     /// State for a checkpoint.
     pub fn snapshot(&self) -> LearnerState {
         LearnerState {

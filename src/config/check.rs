@@ -1,6 +1,6 @@
 //! Values that cannot be used are refused before anything runs.
 
-use super::{ClipConfig, Config, SubjectConfig, TermWeights};
+use super::{ClipConfig, Config, SubjectConfig};
 use crate::files::ProjectFiles;
 use caphy_core::{Error, Result};
 use caphy_garment::energy::ContactOptions;
@@ -138,6 +138,7 @@ impl Config {
         count("train.window", train.window, 1, 1000)?;
         count("train.windows", train.windows, 1, usize::MAX)?;
         count("train.checkpoint_every", train.checkpoint_every, 1, usize::MAX)?;
+        count("train.metrics_every", train.metrics_every, 1, usize::MAX)?;
         count("optimise.alternations", self.optimise.alternations, 0, 8)?;
         positive("train.learning_rate", train.learning_rate)?;
         positive("train.final_rate", train.final_rate)?;
@@ -147,18 +148,8 @@ impl Config {
         }
         positive("train.output_scale_m", train.output_scale_m)?;
         count("train.scan_points", train.scan_points, 1, usize::MAX)?;
-        let TermWeights { strain, bending, gravity, inertia, collision, attachment, scan, layering } = train.weights;
-        for (name, weight) in [
-            ("strain", strain),
-            ("bending", bending),
-            ("gravity", gravity),
-            ("inertia", inertia),
-            ("collision", collision),
-            ("attachment", attachment),
-            ("scan", scan),
-            ("layering", layering),
-        ] {
-            not_negative(&format!("train.weights.{name}"), weight)?;
+        for (name, schedule) in train.weights.named() {
+            schedule.check(&format!("train.weights.{name}"))?;
         }
         let ContactOptions { margin, allowed_depth, load } = train.contact;
         not_negative("train.contact.margin", margin)?;

@@ -6,6 +6,9 @@
 mod check;
 pub(crate) mod place;
 mod silent;
+mod weights;
+
+pub use weights::{Ramp, Schedule, TermWeights};
 
 use crate::files::ProjectFiles;
 use crate::plugins::{Kind, PluginTable, Plugins};
@@ -330,44 +333,6 @@ pub enum Translation {
     PelvisPosition,
 }
 
-/// Weights of the terms of Eqs. 6, 8 and 11. Energies are in joules, so 1 is physical.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TermWeights {
-    /// Membrane strain. Default 1.
-    pub strain: f64,
-    /// Bending. Default 1.
-    pub bending: f64,
-    /// Gravity. Default 1.
-    pub gravity: f64,
-    /// Inertia. Default 1.
-    pub inertia: f64,
-    /// Body collision. Default 1: its own stiffness follows from `[train.contact]`.
-    pub collision: f64,
-    /// Waistband and neckline. Default 1: its own stiffness follows from the garment's weight.
-    pub attachment: f64,
-    /// λ3d of Eq. 8 [J/m²]: energy per squared metre of mean Chamfer distance. Default 300, so that 1 cm costs 30 mJ, about
-    /// what a shirt's strain costs.
-    pub scan: f64,
-    /// Upper against lower garment, relative to the body's collision. Default 1.
-    pub layering: f64,
-}
-
-impl Default for TermWeights {
-    fn default() -> Self {
-        Self {
-            strain: 1.0,
-            bending: 1.0,
-            gravity: 1.0,
-            inertia: 1.0,
-            collision: 1.0,
-            attachment: 1.0,
-            scan: 300.0,
-            layering: 1.0,
-        }
-    }
-}
-
 /// `[train]`
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -397,6 +362,14 @@ pub struct TrainConfig {
     /// to the bit. Default 512: about 5000 frames under a shirt, and with nets, optimiser and step the whole training stays
     /// below 1 GiB. 0 always poses.
     pub keep_bodies_mib: usize,
+    /// Steps between lines of `metrics-STAGE-GARMENT.jsonl` and points in TensorBoard. Default 1.
+    pub metrics_every: usize,
+    /// Steps between measurements of stretch and of depth inside the body, which get a line in any case. Default 50: one costs
+    /// about as much as half a step. 0 for none.
+    pub measure_every: usize,
+    /// Rounds (in fine-tuning: epochs) between pictures of a few fixed poses in `previews/`; the end of a training always gets
+    /// one. Default 4. 0 for none.
+    pub preview_every: usize,
     /// Largest number of scan points per garment and scan in Eq. 9. Default 4000.
     pub scan_points: usize,
     /// A net's output of 1 displaces a vertex by this [m]. Default 0.02: wrinkles are centimetres, and Adam's first steps then
@@ -422,6 +395,9 @@ impl Default for TrainConfig {
             frame_clip: 3.0,
             checkpoint_every: 200,
             keep_bodies_mib: 512,
+            metrics_every: 1,
+            measure_every: 50,
+            preview_every: 4,
             scan_points: 4000,
             output_scale_m: 0.02,
             contact: ContactOptions { margin: 4e-3, ..ContactOptions::default() },

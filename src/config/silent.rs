@@ -58,7 +58,7 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
             silent: &["train.scan_points", "train.weights.scan"],
         },
         Rule {
-            holds: config.train.weights.scan == 0.0,
+            holds: config.train.weights.scan.is_zero(),
             because: "train.weights.scan = 0",
             silent: &["train.scan_points"],
         },

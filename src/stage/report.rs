@@ -9,6 +9,7 @@ use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
 use crate::plot::{Axes, Curve, escape, lines, number};
 use crate::trainer::CurvePoint;
+use crate::training;
 use caphy_core::material::{MembraneBlock, MembraneCall};
 use caphy_core::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -88,6 +89,7 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
         choices(&mut html, inputs);
     }
     curves(&mut html, inputs);
+    previews(&mut html, context)?;
     fabrics(&mut html, context, inputs)?;
     if inputs.film.is_some() {
         picture(
@@ -263,6 +265,20 @@ fn curves(html: &mut String, inputs: &Inputs<'_>) {
             html.push_str(&lines(&Axes { title: &title, x: "step", y: "J per frame", log_y: true }, &curves));
         }
     }
+}
+
+/// The first and the last picture of every training that was drawn, folded away.
+fn previews(html: &mut String, context: &Context<'_>) -> Result<()> {
+    for (what, files) in training::previews(context.folder) {
+        let (Some(first), Some(last)) = (files.first(), files.last()) else { continue };
+        let _ = write!(html, "<details><summary>Pictures of {} while it learned</summary>", escape(&what));
+        for (step, file) in if first == last { vec![last] } else { vec![first, last] } {
+            let source = embedded(context, &file.to_string_lossy())?;
+            let _ = write!(html, "<p>after step {step}</p><img alt=\"{} {step}\" src=\"{source}\">", escape(&what));
+        }
+        html.push_str("</details>");
+    }
+    Ok(())
 }
 
 /// Stretches at which fabrics are drawn: the published measurements end at 7/6.

@@ -4,12 +4,17 @@
 use super::optimise::Estimates;
 use super::preprocess::Subject;
 use super::{Context, StageOutput, material};
-use crate::artifact;
-use crate::garment::TrainedGarment;
-use crate::scene::{Scene, scan_frames};
-use crate::trainer::{self, Batch, CurvePoint, GarmentLearner, LearnerState, MotionFrames};
+use crate::config::TrainConfig;
+use crate::garment::{FittedGarment, TrainedGarment};
+use crate::progress::{Pace, Work};
+use crate::scene::{FrameNames, Scene, scan_frames};
+use crate::trainer::{self, Batch, CurvePoint, Fault, GarmentLearner, LearnerState, MotionFrames, ScanFrames};
+use crate::training::measures::{Measures, depth, stretches};
+use crate::training::{GarmentStep, Order, Plan, Preview, Trainee, learn};
 use caphy_core::{Error, Result};
+use caphy_garment::contact::ContactMap;
 use caphy_garment::template::GarmentKind;
+use caphy_render::Rgb;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -60,86 +65,168 @@ pub fn config_key(kind: GarmentKind) -> &'static str {
     }
 }
 
-/// A checkpoint: everything that the next step depends on.
-#[derive(Serialize, Deserialize)]
-struct Checkpoint {
-    step: usize,
-    state: LearnerState,
-    rate_factor: f64,
-    curve: Vec<CurvePoint>,
+/// One garment and its learner: what is trained alone here, and together in fine-tuning.
+pub struct Pupil<'a> {
+    /// The template.
+    pub fitted: &'a FittedGarment,
+    /// What training started from.
+    pub first: TrainedGarment,
+    /// Net and optimiser.
+    pub learner: GarmentLearner<'a>,
+    contact: ContactMap,
+    motion: &'a MotionFrames,
+    scans: &'a ScanFrames,
 }
 
-/// Points of the curve kept per training.
-const CURVE_POINTS: usize = 120;
-/// Times that training goes back to its last good state with a smaller step before it gives up.
-const MOST_ROLLBACKS: usize = 6;
+impl<'a> Pupil<'a> {
+    /// A garment in a scene, going on from a net.
+    ///
+    /// # Errors
+    /// As [`GarmentLearner::new`].
+    pub fn new(
+        context: &Context<'a>,
+        scene: &Scene,
+        fitted: &'a FittedGarment,
+        first: TrainedGarment,
+        motion: &'a MotionFrames,
+        scans: &'a ScanFrames,
+    ) -> Result<Pupil<'a>> {
+        let table = &context.config.garment(fitted.kind)?.material;
+        let model: Arc<_> = Arc::from(material(table, config_key(fitted.kind), first.material.as_deref())?);
+        let (net, config, contact) = (&context.config.net, &context.config.train, scene.contact(fitted)?);
+        let learner = GarmentLearner::new(fitted, &first, model, net, config, motion, scans, contact.clone())?;
+        Ok(Pupil { fitted, first, learner, contact, motion, scans })
+    }
+    /// The garment with its net as it is now.
+    pub fn trained(&self) -> TrainedGarment {
+        TrainedGarment { parameters: self.learner.parameters.clone(), ..self.first.clone() }
+    }
+    /// What a pass over a batch shows.
+    ///
+    /// # Errors
+    /// As [`depth`].
+    pub fn measures(&self, batch: &Batch, pass: &trainer::Pass) -> Result<Measures> {
+        let track = if batch.scans { &*self.scans.track } else { &self.motion.track };
+        let [major_stretch, minor_stretch] = stretches(&self.learner.rest, &pass.positions);
+        let body = depth(&self.contact, track, batch, &pass.positions)?;
+        Ok(Measures { major_stretch, minor_stretch, body })
+    }
+}
+
+/// A garment trained alone.
+pub struct Alone<'a> {
+    /// The garment.
+    pub pupil: Pupil<'a>,
+    /// `[train]`.
+    pub config: &'a TrainConfig,
+    /// Whether schedules run; if not, they stand at their ends.
+    pub scheduled: bool,
+}
+
+impl Trainee for Alone<'_> {
+    fn garments(&self) -> Vec<String> {
+        vec![self.pupil.fitted.kind.to_string()]
+    }
+    fn step(&mut self, batch: &Batch, share: f64, rate: f64, measure: bool) -> Result<Vec<GarmentStep>> {
+        let learner = &mut self.pupil.learner;
+        if self.scheduled {
+            learner.set_share(share);
+        }
+        let pass = learner.forward(batch)?;
+        learner.backward(&pass)?;
+        let gradient_norm = learner.step(rate, self.config.clip_norm)?;
+        let measures = measure.then(|| self.pupil.measures(batch, &pass)).transpose()?;
+        Ok(vec![GarmentStep { energies: pass.energies, gradient_norm, measures }])
+    }
+    fn scheduled(&self, share: f64) -> Vec<(&'static str, f64)> {
+        let share = if self.scheduled { share } else { 1.0 };
+        let weights = self.config.weights.named();
+        weights.iter().filter(|(n, w)| *n != "layering" && !w.is_constant()).map(|(n, w)| (*n, w.at(share))).collect()
+    }
+    fn fault(&self, batch: &Batch) -> Option<(String, Fault)> {
+        self.pupil.learner.fault(batch).map(|fault| (self.pupil.fitted.kind.to_string(), fault))
+    }
+    fn snapshot(&self) -> Vec<LearnerState> {
+        vec![self.pupil.learner.snapshot()]
+    }
+    fn restore(&mut self, states: &[LearnerState]) -> Result<()> {
+        Error::check_length("garments of a checkpoint", 1, states.len())?;
+        self.pupil.learner.restore(&states[0])
+    }
+    fn draw(&self, preview: &Preview<'_>) -> Result<Rgb> {
+        preview.draw(&[(self.pupil.fitted, &self.pupil.trained())])
+    }
+}
 
 /// Trains every garment of the subject.
 pub fn run(context: &Context<'_>, subject: &Subject, start: &Start) -> Result<Nets> {
+    let config = &context.config.train;
     let scene = Scene::new(context, subject)?;
     context.progress.set(0.0, "posing the body");
-    let motion = scene.motion(context)?;
+    let (motion, clips) = scene.named_motion(context)?;
+    let names = FrameNames::new(clips, subject);
     let scan_track = scene.scan_track(subject)?;
+    let preview =
+        (config.preview_every > 0).then(|| Preview::new(context, &scene, &motion, &scan_track, &names)).transpose()?;
     let count = subject.garments.len();
+    let order = |index: usize| order(context, &motion, scan_track.len(), start.rounds, seed(context, index));
+    // A window step works on whole windows of all vertices, a scan step on single poses: until both are measured, the one
+    // says what the other will take.
+    let mut pace = Pace::new(
+        (0..count)
+            .flat_map(|index| {
+                let vertices = subject.garments[index].mesh.vertices.len();
+                let frames = [config.batch * config.window, config.batch.min(scan_track.len())];
+                let left = order(index).left(0);
+                [0, 1].map(|kind| Work { size: (vertices * frames[kind]) as f64, left: left[kind] })
+            })
+            .collect(),
+    );
     let mut nets = Nets { garments: Vec::new() };
     for (index, fitted) in subject.garments.iter().enumerate() {
-        let config = &context.config.train;
         let scans = scan_frames(context, subject, fitted, scan_track.clone())?;
-        let seed = context.config.run.seed.wrapping_mul(1000).wrapping_add(index as u64);
-        let first = match &start.nets {
+        let mut first = match &start.nets {
             Some(nets) => nets.garments.get(index).cloned().ok_or_else(|| Error::Length {
                 what: "trained garments".into(),
                 expected: count,
                 got: nets.garments.len(),
             })?,
-            None => trainer::untrained(
-                fitted,
-                scene.body.describe(),
-                &context.config.net,
-                config,
-                &motion,
-                &scan_track,
-                seed,
-            )?,
+            None => {
+                let (body, net) = (scene.body.describe(), &context.config.net);
+                trainer::untrained(fitted, body, net, config, &motion, &scan_track, seed(context, index))?
+            }
         };
-        let table = &context.config.garment(fitted.kind)?.material;
-        let fabric = start.fabrics.get(index).cloned().flatten().or_else(|| first.material.clone());
-        let model: Arc<_> = Arc::from(material(table, config_key(fitted.kind), fabric.as_deref())?);
-        let mut learner = {
-            let contact = scene.contact(fitted)?;
-            GarmentLearner::new(fitted, &first, model, &context.config.net, config, &motion, &scans, contact)?
-        };
-        let batches = plan(context, &motion, scans.clouds.len(), start.rounds, seed);
+        first.material = start.fabrics.get(index).cloned().flatten().or(first.material);
+        let pupil = Pupil::new(context, &scene, fitted, first, &motion, &scans)?;
+        let mut trainee = Alone { pupil, config, scheduled: start.nets.is_none() };
         let name = fitted.kind.to_string();
-        let share = |s: f64| (index as f64 + s) / count as f64;
-        let (curve, step_ms) = learn(context, &mut learner, &batches, &name, &|s, text| {
-            context.progress.set(share(s), text);
-        })?;
-        write_metrics(context, &name, &curve)?;
-        nets.garments.push(TrainedGarment {
-            parameters: learner.parameters.clone(),
-            material: fabric,
-            curve: first.curve.iter().cloned().chain(shifted(curve, &first.curve)).collect(),
-            ..first
-        });
-        if step_ms > 0.0 {
-            context.time(&format!("step of {name}, ms"), step_ms);
+        let plan = Plan {
+            context,
+            name: &name,
+            order: order(index),
+            learning_rate: config.learning_rate,
+            names: &names,
+            preview: preview.as_ref(),
+            pace: &mut pace,
+            kinds: [2 * index, 2 * index + 1],
+            part: [index as f64 / count as f64, (index + 1) as f64 / count as f64],
+        };
+        let outcome = learn(&mut trainee, plan)?;
+        let mut trained = trainee.pupil.trained();
+        let points = outcome.curves.into_iter().flatten().collect();
+        trained.curve.extend(shifted(points, &trainee.pupil.first.curve));
+        nets.garments.push(trained);
+        if outcome.step_ms > 0.0 {
+            context.time(&format!("step of {name}, ms"), outcome.step_ms);
+            context.progress.note(&format!("{name}: {:.1} ms per step of {} windows", outcome.step_ms, config.batch));
         }
-        context.progress.note(&format!("{name}: {step_ms:.1} ms per step of {} windows", config.batch));
     }
     Ok(nets)
 }
 
-/// The record of training as one JSON object per line.
-fn write_metrics(context: &Context<'_>, name: &str, curve: &[CurvePoint]) -> Result<()> {
-    let mut lines = String::new();
-    for point in curve {
-        let line = serde_json::to_string(point)
-            .map_err(|e| Error::numerics("training metrics", e.to_string(), "report this as a defect"))?;
-        lines.push_str(&line);
-        lines.push('\n');
-    }
-    context.write(&format!("metrics-{}-{name}.jsonl", context.stage), lines.as_bytes())
+/// Each garment draws its own batches.
+fn seed(context: &Context<'_>, index: usize) -> u64 {
+    context.config.run.seed.wrapping_mul(1000).wrapping_add(index as u64)
 }
 
 /// Numbers the points of a second training after those of the first.
@@ -148,98 +235,15 @@ fn shifted(curve: Vec<CurvePoint>, before: &[CurvePoint]) -> Vec<CurvePoint> {
     curve.into_iter().map(|p| CurvePoint { step: p.step + offset, ..p }).collect()
 }
 
-/// All batches of a training in order: 1 epoch of windows, `scan_epochs` epochs of scan poses, `rounds` times.
-fn plan(context: &Context<'_>, motion: &MotionFrames, scans: usize, rounds: usize, seed: u64) -> Vec<Batch> {
+/// A round is 1 epoch of windows and `scan_epochs` epochs of scan poses.
+fn order<'a>(context: &Context<'a>, motion: &'a MotionFrames, scans: usize, rounds: usize, seed: u64) -> Order<'a> {
     let config = &context.config.train;
-    let mut batches = Vec::new();
-    for round in 0..rounds as u64 {
-        batches.extend(trainer::window_batches(motion, config, config.windows, seed, round));
+    Order::new(rounds, move |round| {
+        let round = round as u64;
+        let mut batches = trainer::window_batches(motion, config, config.windows, seed, round);
         for epoch in 0..config.scan_epochs as u64 {
-            let epoch = round * config.scan_epochs as u64 + epoch;
-            batches.extend(trainer::scan_batches(scans, config, seed, epoch));
+            batches.extend(trainer::scan_batches(scans, config, seed, round * config.scan_epochs as u64 + epoch));
         }
-    }
-    batches
-}
-
-/// Runs all batches with checkpoints; returns the curve and the median time of a step on windows [ms].
-fn learn(
-    context: &Context<'_>,
-    learner: &mut GarmentLearner<'_>,
-    batches: &[Batch],
-    name: &str,
-    progress: &dyn Fn(f64, &str),
-) -> Result<(Vec<CurvePoint>, f64)> {
-    let config = &context.config.train;
-    let path = context.folder.join(format!("checkpoint-{name}.caphy"));
-    let key = format!("{}-{name}", context.key);
-    let mut at = Checkpoint { step: 0, state: learner.snapshot(), rate_factor: 1.0, curve: Vec::new() };
-    if let Some((saved, _)) = artifact::load::<Checkpoint>(&path, "checkpoint", &key)? {
-        context.progress.note(&format!("{name}: going on from step {} of {}", saved.step, batches.len()));
-        learner.restore(&saved.state)?;
-        at = saved;
-    }
-    let every = batches.len().div_ceil(CURVE_POINTS).max(1);
-    let mut times = Vec::new();
-    let mut rollbacks = 0;
-    let mut step = at.step;
-    let mut curve = at.curve.clone();
-    while step < batches.len() {
-        let batch = &batches[step];
-        let share = step as f64 / batches.len().max(1) as f64;
-        let rate = at.rate_factor * trainer::learning_rate(config, config.learning_rate, share);
-        let started = std::time::Instant::now();
-        let outcome = learner.forward(batch).and_then(|pass| {
-            learner.backward(&pass)?;
-            let norm = learner.step(rate, config.clip_norm)?;
-            Ok((pass.energies, norm))
-        });
-        match outcome {
-            Ok((energies, norm)) => {
-                if !batch.scans && batch.windows == config.batch {
-                    times.push(started.elapsed().as_secs_f64() * 1e3);
-                }
-                if step.is_multiple_of(every) || batch.scans && step % every < config.scan_epochs {
-                    curve.push(CurvePoint {
-                        step,
-                        scans: batch.scans,
-                        energies: energies.iter().map(|(n, e)| (n.to_string(), *e)).collect(),
-                        gradient_norm: norm,
-                    });
-                }
-                step += 1;
-                if step.is_multiple_of(10) {
-                    let total: f64 = energies.iter().map(|e| e.1).sum();
-                    progress(share, &format!("{name}: step {step} of {}, {total:.3} J", batches.len()));
-                }
-                if step.is_multiple_of(config.checkpoint_every) {
-                    at = Checkpoint {
-                        step,
-                        state: learner.snapshot(),
-                        rate_factor: at.rate_factor,
-                        curve: curve.clone(),
-                    };
-                    artifact::save(&path, "checkpoint", &key, &at)?;
-                }
-            }
-            Err(error @ (Error::NonFinite { .. } | Error::Numerics { .. })) if rollbacks < MOST_ROLLBACKS => {
-                rollbacks += 1;
-                at.rate_factor *= 0.5;
-                context.progress.note(&format!(
-                    "{name}: step {step} left the finite numbers ({error}); back to step {} with half the step size",
-                    at.step
-                ));
-                learner.restore(&at.state)?;
-                step = at.step;
-                curve = at.curve.clone();
-            }
-            Err(error) => return Err(error),
-        }
-    }
-    if at.step != step {
-        at = Checkpoint { step, state: learner.snapshot(), rate_factor: at.rate_factor, curve: curve.clone() };
-        artifact::save(&path, "checkpoint", &key, &at)?;
-    }
-    times.sort_by(f64::total_cmp);
-    Ok((curve, times.get(times.len() / 2).copied().unwrap_or(0.0)))
+        batches
+    })
 }

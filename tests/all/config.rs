@@ -41,7 +41,10 @@ fn shipped_configurations_are_valid() {
 
 #[test]
 fn configurations_survive_being_written() {
-    for text in [TINY.to_string(), tiny_on_scans("scans", &["a", "b"])] {
+    let schedules =
+        "windows = 48\nweights = { strain = { from = 0.1, to = 1, until = 0.3 }, scan = [[0, 1], [0.5, 300]] }";
+    let scheduled = edited(TINY, &[("windows = 48", schedules)]);
+    for text in [TINY.to_string(), tiny_on_scans("scans", &["a", "b"]), scheduled] {
         let config = Config::parse(Path::new(FILE), &text).unwrap_or_else(|e| panic!("{e}"));
         assert_written_configuration_parses(&config);
     }
@@ -65,6 +68,12 @@ fn unknown_keys_are_named_with_their_line() {
         ("windows = 48", "windows = 48\nepochs = 2", "epochs", "`rounds`"),
         ("windows = 48", "windows = 48\nweights = { stain = 1.0 }", "stain", "`strain`"),
         ("windows = 48", "windows = 48\ncontact = { margn = 1e-3 }", "margn", "`margin`"),
+        (
+            "windows = 48",
+            "windows = 48\nweights = { strain = { form = 0.1, to = 1.0, until = 1.0 } }",
+            "form",
+            "`from`",
+        ),
         ("rounds = 2", "rounds = 2\nforce_balance = { factor = 2.0 }", "factor =", "`largest_factor`"),
         ("scans = 3", "scans = 3\nscan = 3", "scan = 3", "`scans`"),
         ("iterations = 8", "iterations = 8\nitrations = 3", "itrations", "`iterations`"),
@@ -133,6 +142,7 @@ fn unusable_values_name_their_key() {
         ("windows = 48", "windows = 48\nlearning_rate = nan", "train.learning_rate"),
         ("windows = 48", "windows = 48\nclip_norm = inf", "train.clip_norm"),
         ("checkpoint_every = 5", "checkpoint_every = 0", "train.checkpoint_every"),
+        ("windows = 48", "windows = 48\nmetrics_every = 0", "train.metrics_every"),
         ("rounds = 2", "alternations = 9", "optimise.alternations"),
         ("rounds = 2", "force_balance = { largest_factor = 0.5 }", "optimise.force_balance.largest_factor"),
         ("epochs = 6", "learning_rate = 0.0", "finetune.learning_rate"),
@@ -145,6 +155,19 @@ fn unusable_values_name_their_key() {
         ("windows = 48", "windows = 48\nfinal_rate = 2.0", "train.final_rate"),
         ("windows = 48", "windows = 48\nscan_points = 0", "train.scan_points"),
         ("windows = 48", "windows = 48\nweights = { strain = -1.0 }", "train.weights.strain"),
+        (
+            "windows = 48",
+            "windows = 48\nweights = { gravity = { from = -1, to = 1, until = 1 } }",
+            "train.weights.gravity",
+        ),
+        (
+            "windows = 48",
+            "windows = 48\nweights = { scan = { from = 0, to = 1, until = 1.5 } }",
+            "train.weights.scan.until",
+        ),
+        ("windows = 48", "windows = 48\nweights = { inertia = [[0.5, 1.0], [0.5, 2.0]] }", "train.weights.inertia"),
+        ("windows = 48", "windows = 48\nweights = { bending = [] }", "train.weights.bending"),
+        ("windows = 48", "windows = 48\nweights = { layering = [[0.0, nan]] }", "train.weights.layering"),
         ("windows = 48", "windows = 48\ncontact = { allowed_depth = 0.0 }", "train.contact.allowed_depth"),
         ("epochs = 6", "layering = { margin = -1e-3 }", "finetune.layering.margin"),
         ("rounds = 2", "force_balance = { regularisation = -1.0 }", "optimise.force_balance.regularisation"),
@@ -158,6 +181,10 @@ fn unusable_values_name_their_key() {
     }
     assert_points_at(&edited(TINY, &[("count = 8", "count = -8")]), "count = -8", &["-8"]);
     assert_points_at(&edited(TINY, &[("count = 8", "count = \"8\"")]), "count = \"8\"", &["string"]);
+    let weight = |text: &str| edited(TINY, &[("windows = 48", &format!("windows = 48\nweights.strain = {text}"))]);
+    assert_points_at(&weight("\"1\""), "weights.strain", &["a number, a ramp { from, to, until }, or points"]);
+    assert_points_at(&weight("{ from = 0.1, to = 1.0 }"), "weights.strain", &["missing field `until`"]);
+    assert_points_at(&weight("[[0.0, 1.0], [1.0]]"), "weights.strain", &["array of length 2"]);
     // In tables that a plugin reads, too.
     assert_points_at(&edited(TINY, &[("hidden = 32", "hidden = \"32\"")]), "hidden = \"32\"", &["string"]);
     let fabric = "fabric = \"navy-sparkle-sweat\"";

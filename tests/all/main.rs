@@ -16,5 +16,7 @@ mod inputs;
 mod pipeline;
 /// Plugin libraries in the whole program.
 mod plugins;
+/// What training leaves behind, and what it survives.
+mod record;
 /// Clothed people that nobody here made.
 mod standin;

@@ -26,12 +26,12 @@ const STAGES: [&str; 10] = [
     "report",
 ];
 
-fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+pub(crate) fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool").install(work)
 }
 
 /// The run folder of one uninterrupted run on two threads; nobody may change it.
-fn finished() -> &'static Path {
+pub(crate) fn finished() -> &'static Path {
     static FINISHED: OnceLock<(PathBuf, File)> = OnceLock::new();
     let (folder, _) = FINISHED.get_or_init(|| {
         let root = Path::new(env!("CARGO_TARGET_TMPDIR"));
@@ -247,7 +247,7 @@ fn assert_same_results(out: &Path) {
 }
 
 /// The program on an experiment.
-fn program(experiment: &Experiment) -> Command {
+pub(crate) fn program(experiment: &Experiment) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_caphy"));
     command.arg("run").arg(experiment.config()).arg("--out").arg(experiment.out());
     command.stdin(Stdio::null()).stdout(Stdio::null());
