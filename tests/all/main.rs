@@ -12,6 +12,8 @@ mod dressed;
 mod experiment;
 /// Bodies, garments and motion, shown and played.
 mod inputs;
+/// Played for longer than training ever saw.
+mod long_clip;
 /// From scans to report: results, resuming, same bits.
 mod pipeline;
 /// Plugin libraries in the whole program.
