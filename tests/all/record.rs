@@ -279,7 +279,7 @@ fn a_value_that_is_no_number_is_named_by_term_triangle_and_frame() {
     let scans = scan_frames(&context, &subject, fitted, track.clone()).expect("scans");
     let (config, net) = (&stage.config.train, &stage.config.net);
     let first = trainer::untrained(fitted, scene.body.describe(), net, config, &motion, &track, 1).expect("a net");
-    let mut pupil = Pupil::new(&context, &scene, &subject, fitted, first.clone(), &motion, &scans).expect("a garment");
+    let mut pupil = Pupil::new(&context, &scene, fitted, first.clone(), &motion, &scans).expect("a garment");
     let batches = |_| trainer::window_batches(&motion, config, 48, 7, 0);
     let batch = &batches(0)[0];
 
@@ -386,8 +386,7 @@ fn training_goes_back_to_its_last_good_state_with_half_the_step() {
     let scans = scan_frames(&context, &subject, fitted, track.clone()).expect("scans");
     let (config, net) = (&stage.config.train, &stage.config.net);
     let first = trainer::untrained(fitted, scene.body.describe(), net, config, &motion, &track, 1).expect("a net");
-    let state =
-        Pupil::new(&context, &scene, &subject, fitted, first, &motion, &scans).expect("a garment").learner.snapshot();
+    let state = Pupil::new(&context, &scene, fitted, first, &motion, &scans).expect("a garment").learner.snapshot();
     let names = FrameNames::default();
     // 20 steps with checkpoints every 5: the 13th fails twice.
     let make = |round: usize| -> Vec<Batch> {
