@@ -128,7 +128,8 @@ impl<T: MaterialReal> Physics<T> {
             let mut factor = weight * scale;
             let mut mean_of = frames;
             if term.name() == "inertia" {
-                let transitions = self.inertia.transitions(state.positions.blocks()) * state.positions.lanes_used();
+                let transitions = self.inertia.transitions(state.positions.blocks(), state.past.is_some());
+                let transitions = transitions * state.positions.lanes_used();
                 if dynamics == Dynamics::Static || transitions == 0 {
                     continue;
                 }

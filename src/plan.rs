@@ -232,7 +232,11 @@ fn terms(config: &Config, subject: &Subject, waistband: bool) -> Result<Vec<(&'s
         ("gravity", weight("gravity", &w.gravity)),
         (
             "inertia",
-            or(weight("inertia", &w.inertia), config.train.window < 3, "train.window < 3: no velocity is known"),
+            or(
+                weight("inertia", &w.inertia),
+                config.train.window < 3 && config.train.lead_in == 0,
+                "train.window < 3: no velocity is known",
+            ),
         ),
         ("collision", weight("collision", &w.collision)),
         ("attachment", or(weight("attachment", &w.attachment), !waistband, "the garment has no waistband")),

@@ -121,6 +121,7 @@ pub struct GarmentLearner<'a> {
     scans: &'a ScanFrames,
     contact: ContactMap,
     frame_clip: f64,
+    lead_in: usize,
     output_scale: f32,
     /// Flat parameters of the net.
     pub parameters: Vec<f32>,
@@ -144,8 +145,18 @@ pub struct Pass {
     features: Lent<Vec<f32>>,
     joints: JointFrames<f32>,
     tape: Lent<Vec<f32>>,
+    /// What the net carried into the windows; none: zeros.
+    state: Option<Vec<f32>>,
     steps: usize,
     windows: usize,
+}
+
+/// What happened before the windows of a batch.
+pub(super) struct LeadIn {
+    /// What the net carries into them, `[window][state]`.
+    pub(super) state: Vec<f32>,
+    /// The garments in the two frames before [m].
+    pub(super) past: Lent<Frames<f32>>,
 }
 
 /// What a garment's net is told: the joints that move it, not standardised yet.
@@ -246,6 +257,7 @@ impl<'a> GarmentLearner<'a> {
             scans,
             contact,
             frame_clip: config.frame_clip,
+            lead_in: config.lead_in,
             output_scale: trained.output_scale_m as f32,
             parameters: trained.parameters.clone(),
             gradient: vec![0.0; n],
@@ -281,6 +293,8 @@ impl<'a> GarmentLearner<'a> {
         for (row, &f) in inputs.chunks_exact_mut(self.net.manifest().inputs.max(1)).zip(&batch.frames) {
             row.copy_from_slice(&features[f]);
         }
+        let lead = if batch.scans { None } else { self.lead(batch)? };
+        let state_before = lead.as_ref().map_or(In::absent(), |lead| (&lead.state[..]).into());
         // Zeros: a net of somebody else's may add to what it finds.
         let mut output = pool.zeros(batch.frames.len() * self.net.manifest().outputs);
         let mut tape = pool.zeros(self.net.tape_len(steps, windows)?);
@@ -290,7 +304,7 @@ impl<'a> GarmentLearner<'a> {
                 batch: windows,
                 parameters: (&self.parameters[..]).into(),
                 features: (&inputs[..]).into(),
-                state_before: In::absent(),
+                state_before,
                 output: (&mut output[..]).into(),
                 state_after: Out::absent(),
                 tape: (&mut tape[..]).into(),
@@ -316,6 +330,7 @@ impl<'a> GarmentLearner<'a> {
         let state = State::new(&positions)
             .with_body(BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) })
             .with_targets(&targets);
+        let state = lead.as_ref().map_or(state, |lead| state.with_past(&lead.past));
         let mut gradient = pool.frames(steps, self.skinner.vertex_count(), windows);
         gradient.clear();
         let scale = 1.0 / (steps * windows) as f64;
@@ -335,7 +350,63 @@ impl<'a> GarmentLearner<'a> {
         if self.frame_clip > 0.0 {
             clock.time("limit of frames", || limit_frames(&mut gradient, self.frame_clip));
         }
-        Ok(Pass { positions, gradient, energies, features: inputs, joints, tape, steps, windows })
+        Ok(Pass {
+            positions,
+            gradient,
+            energies,
+            features: inputs,
+            state: lead.map(|l| l.state),
+            joints,
+            tape,
+            steps,
+            windows,
+        })
+    }
+
+    /// Plays the frames before the windows of a batch, without a gradient: a clip that begins later stands still in its first frame
+    /// until then. `None` where nothing leads in.
+    pub(super) fn lead(&self, batch: &Batch) -> Result<Option<LeadIn>> {
+        let (steps, windows) = (self.lead_in, batch.windows);
+        if steps == 0 {
+            return Ok(None);
+        }
+        let mut first = batch.frames[..windows].to_vec();
+        let mut frames = vec![0; steps * windows];
+        for step in (0..steps).rev() {
+            for (window, frame) in first.iter_mut().enumerate() {
+                if self.motion.has_before[*frame] {
+                    *frame -= 1;
+                }
+                frames[step * windows + window] = *frame;
+            }
+        }
+        let manifest = self.net.manifest();
+        let mut inputs = self.pool.values(frames.len() * manifest.inputs);
+        for (row, &f) in inputs.chunks_exact_mut(manifest.inputs.max(1)).zip(&frames) {
+            row.copy_from_slice(&self.motion_features[f]);
+        }
+        let mut output = self.pool.zeros(frames.len() * manifest.outputs);
+        let mut state = vec![0.0f32; windows * manifest.state];
+        self.clock.time("net lead-in", || {
+            let mut block = ForwardBlock {
+                steps,
+                batch: windows,
+                parameters: (&self.parameters[..]).into(),
+                features: (&inputs[..]).into(),
+                state_before: In::absent(),
+                output: (&mut output[..]).into(),
+                state_after: if manifest.state > 0 { (&mut state[..]).into() } else { Out::absent() },
+                tape: Out::absent(),
+            };
+            self.net.forward(ForwardCall::F32(&mut block))
+        })?;
+        let last = (steps - 2) * windows;
+        let mut past = self.pool.frames(2, self.skinner.vertex_count(), windows);
+        self.clock.time("skinning", || {
+            let joints = self.skinner.joint_frames(&self.motion.track.transforms(&frames[last..]), windows)?;
+            self.skinner.forward_scaled(&joints, Some(&output[last * manifest.outputs..]), self.output_scale, &mut past)
+        })?;
+        Ok(Some(LeadIn { state, past }))
     }
 
     /// Carries a pass's gradient back into the net's parameters.
@@ -350,7 +421,7 @@ impl<'a> GarmentLearner<'a> {
             batch: pass.windows,
             parameters: (&self.parameters[..]).into(),
             features: (&pass.features[..]).into(),
-            state_before: In::absent(),
+            state_before: pass.state.as_ref().map_or(In::absent(), |state| (&state[..]).into()),
             tape: (&pass.tape[..]).into(),
             output_gradient: (&displacement[..]).into(),
             parameter_gradient: (&mut self.gradient[..]).into(),

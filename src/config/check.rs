@@ -136,6 +136,10 @@ impl Config {
         let train = &self.train;
         count("train.batch", train.batch, 1, 16)?;
         count("train.window", train.window, 1, 1000)?;
+        count("train.lead_in", train.lead_in, 0, 1000)?;
+        if train.lead_in == 1 {
+            return Err(Error::config("train.lead_in", "1", "give 0, or at least 2: a velocity takes two frames"));
+        }
         count("train.windows", train.windows, 1, usize::MAX)?;
         count("train.checkpoint_every", train.checkpoint_every, 1, usize::MAX)?;
         count("train.metrics_every", train.metrics_every, 1, usize::MAX)?;

@@ -63,7 +63,11 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
             silent: &["train.scan_points"],
         },
         // A transition counts once its velocity is known, from the third frame on.
-        Rule { holds: config.train.window < 3, because: "train.window < 3", silent: &["train.weights.inertia"] },
+        Rule {
+            holds: config.train.window < 3 && config.train.lead_in == 0,
+            because: "train.window < 3 and train.lead_in = 0",
+            silent: &["train.weights.inertia"],
+        },
         Rule {
             holds: is_collection(config.upper.as_ref()),
             because: "upper.template names garments that are all tried",

@@ -272,7 +272,7 @@ fn rigid_motion_costs_nothing() {
         glide.set_frame(step, 0, &points).unwrap();
     }
     let inertia = Inertia::<f64>::new(&rest, 0.1, InertiaRule::KnownVelocity).unwrap();
-    assert_eq!(inertia.transitions(5), 3);
+    assert_eq!(inertia.transitions(5, false), 3);
     let (energy, _) = evaluate(&inertia, &State::new(&glide));
     assert!(energy.iter().all(|e| e.abs() < 1e-25), "{energy:?}");
     let (energy, _) = evaluate(&Inertia::new(&rest, 0.1, InertiaRule::Faithful).unwrap(), &State::new(&glide));

@@ -55,9 +55,10 @@ impl<T: MaterialReal> Inertia<T> {
         let stiffness: Vec<f64> = self.masses.iter().map(|&m| Real::to_f64(m) / (self.step * self.step)).collect();
         Attachment::springs(&all, &stiffness, self.masses.len())
     }
-    /// Number of transitions that count in windows of `steps` frames: the divisor of a mean.
-    pub fn transitions(&self, steps: usize) -> usize {
+    /// Number of transitions that count in windows of `steps` frames, `past`: with the two frames before: the divisor of a mean.
+    pub fn transitions(&self, steps: usize, past: bool) -> usize {
         steps.saturating_sub(match self.rule {
+            _ if past => 0,
             InertiaRule::KnownVelocity => 2,
             InertiaRule::Faithful => 1,
         })
@@ -78,12 +79,19 @@ impl<T: MaterialReal> EnergyTerm<T> for Inertia<T> {
     ) -> Result<()> {
         let x = state.positions;
         let factor = T::of(weight / (self.step * self.step));
+        if let Some(past) = state.past {
+            Error::check_length("steps before the first, for inertia", 2, past.blocks())?;
+            Error::check_length("vertices of the steps before the first", x.vertices(), past.vertices())?;
+            Error::check_length("windows of the steps before the first", x.lanes_used(), past.lanes_used())?;
+        }
         add_blocks("inertia", self.masses.len(), x, energy, gradient, |b, part| {
             let mut energy = [0.0; MAX_LANES];
-            let past = match (b, self.rule) {
-                (0, _) | (1, InertiaRule::KnownVelocity) => return Ok(energy),
+            let past = match (b, state.past, self.rule) {
+                (0, Some(past), _) => (past.block(1), past.block(0)),
+                (1, Some(past), _) => (x.block(0), past.block(1)),
+                (0, ..) | (1, _, InertiaRule::KnownVelocity) => return Ok(energy),
                 // A second past frame that equals the first is a velocity of zero.
-                (1, InertiaRule::Faithful) => (x.block(0), x.block(0)),
+                (1, _, InertiaRule::Faithful) => (x.block(0), x.block(0)),
                 _ => (x.block(b - 1), x.block(b - 2)),
             };
             let mut none = [];

@@ -65,12 +65,14 @@ pub struct State<'a, T> {
     pub targets: Option<&'a Frames<T>>,
     /// Scan of each frame, `[block * lanes_used + lane]`, for [`Chamfer`].
     pub scans: &'a [&'a ScanCloud<T>],
+    /// Garment vertices of the two steps before the first, in two blocks, for [`Inertia`]; `None` where nothing is known of them.
+    pub past: Option<&'a Frames<T>>,
 }
 
 impl<'a, T: Real> State<'a, T> {
     /// Garments alone in the world.
     pub fn new(positions: &'a Frames<T>) -> Self {
-        Self { positions, body: None, targets: None, scans: &[] }
+        Self { positions, body: None, targets: None, scans: &[], past: None }
     }
     /// The same with a posed body.
     pub fn with_body(self, body: BodyState<'a, T>) -> Self {
@@ -79,6 +81,10 @@ impl<'a, T: Real> State<'a, T> {
     /// The same with targets of held vertices.
     pub fn with_targets(self, targets: &'a Frames<T>) -> Self {
         Self { targets: Some(targets), ..self }
+    }
+    /// The same with the two steps before the first.
+    pub fn with_past(self, past: &'a Frames<T>) -> Self {
+        Self { past: Some(past), ..self }
     }
     /// The same with a scan per frame.
     pub fn with_scans(self, scans: &'a [&'a ScanCloud<T>]) -> Self {
