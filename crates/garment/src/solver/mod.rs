@@ -16,8 +16,8 @@
 //!
 //! # Limitations
 //! Cloth does not collide with itself. Contact is a penalty with the nearest body vertex's tangent plane: positions jump a
-//! little where the nearest vertex changes. Rest states of cloth are many; which buckling pattern is found depends on
-//! the start.
+//! little where the nearest vertex changes. Between two limbs cloth keeps to the side where it is. Rest states of cloth are
+//! many; which buckling pattern is found depends on the start.
 
 mod dense;
 pub mod dynamics;

@@ -300,3 +300,43 @@ impl Workspace {
 pub(super) fn total(energies: &[(&'static str, f64)]) -> f64 {
     energies.iter().map(|e| e.1).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two surfaces that face each other 3 mm apart, the upper one's vertices right above the lower one's, and a third vertex
+    /// beside the first.
+    #[test]
+    fn a_vertex_between_two_surfaces_keeps_its_side() {
+        let points = vec![[0.0, 0.0, 0.0], [0.0, 3e-3, 0.0], [0.01, 0.0, 0.0]];
+        let normals = vec![[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0]];
+        let scene = Scene::default();
+        let prepared = Prepared {
+            scene: &scene,
+            body: [points, normals],
+            targets: None,
+            springs: None,
+            momentum: None,
+            fixed: vec![false],
+        };
+        let lanes = |id: u32| vec![id; LANES];
+        let after = |x: [f64; 3], old: u32, new: u32, touching: bool, preference: f64| {
+            let mut pairs = lanes(new);
+            let changed = prepared.keep_pairs(&x, &lanes(old), &mut pairs, &[touching], (preference, 2e-3));
+            assert_eq!(changed, usize::from(touching && pairs == lanes(new) && old != new));
+            pairs[0]
+        };
+        // Outside both: beginning to touch the other surface counts.
+        assert_eq!(after([0.0, 1.6e-3, 0.0], 0, 1, true, 0.0), 1);
+        // Past the other surface by 2 mm, which would be 4 mm deep: stays with the one that it is outside of.
+        assert_eq!(after([0.0, 5e-3, 0.0], 0, 1, true, 0.0), 0);
+        // Deeper in its own surface than in the other.
+        assert_eq!(after([0.0, -8e-3, 0.0], 2, 1, true, 0.0), 1);
+        // Along one surface the nearer one is taken, unless the old one is preferred by more than that.
+        assert_eq!(after([0.006, 1e-3, 0.0], 0, 2, true, 0.0), 2);
+        assert_eq!(after([0.006, 1e-3, 0.0], 0, 2, true, 1.0), 0);
+        // Without touch there is nothing to keep.
+        assert_eq!(after([0.0, 5e-3, 0.0], 0, 1, false, 0.0), 1);
+    }
+}
