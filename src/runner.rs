@@ -24,6 +24,7 @@ pub struct Run {
     timings: Mutex<BTreeMap<String, f64>>,
     plan: ScenePlan,
     dry: bool,
+    profile: bool,
     ran: Vec<&'static str>,
     /// Held until the run is dropped: two processes in one folder would overwrite each other's checkpoints.
     _lock: std::fs::File,
@@ -38,6 +39,8 @@ pub struct Summary {
     pub ran: Vec<&'static str>,
     /// Tables of what was measured, as text.
     pub table: String,
+    /// Milliseconds per step by garment and part, of trainings of this run.
+    pub profile: Vec<(String, f64)>,
     /// The report, unless the run was narrowed to another stage.
     pub report: Option<PathBuf>,
 }
@@ -54,6 +57,11 @@ impl From<Error> for Halt {
         Self::Failed(error)
     }
 }
+
+/// What names of measured parts of steps begin with.
+pub(crate) const PROFILE: &str = "step of ";
+/// Keys of `[train]` that change no bit of what is learnt.
+const LOOKING: [&str; 4] = ["metrics_every", "measure_every", "preview_every", "keep_bodies_mib"];
 
 /// Tables of the configuration that preprocessing reads, besides the garments'.
 const PREPROCESSING: [&str; 4] = ["body", "segmenter", "views", "registration"];
@@ -98,7 +106,17 @@ impl Run {
             .and_then(|bytes| serde_json::from_slice(&bytes).ok())
             .unwrap_or_default();
         let plan = ScenePlan::new(&config);
-        Ok(Run { config, files, folder, timings: Mutex::new(timings), plan, dry: false, ran: Vec::new(), _lock: lock })
+        Ok(Run {
+            config,
+            files,
+            folder,
+            timings: Mutex::new(timings),
+            plan,
+            dry: false,
+            profile: false,
+            ran: Vec::new(),
+            _lock: lock,
+        })
     }
 
     /// Narrows the run to one stage and what it needs.
@@ -110,6 +128,12 @@ impl Run {
         Ok(self)
     }
 
+    /// Measures where the time of training steps goes: see [`Summary::profile`].
+    pub fn profiled(mut self) -> Self {
+        self.profile = true;
+        self
+    }
+
     /// Everything, from scans to the report.
     pub fn all(mut self) -> Result<Summary> {
         let told = self.stages(false).map_err(|halt| match halt {
@@ -117,7 +141,8 @@ impl Run {
             Halt::NotDone(stage) => Error::unsupported(stage, "a run that only plans"),
         })?;
         let report = self.plan.has("report").then(|| self.folder.join("report.html"));
-        Ok(Summary { folder: self.folder, ran: self.ran, table: told, report })
+        let profile = self.timings().into_iter().filter(|(name, _)| name.starts_with(PROFILE)).collect();
+        Ok(Summary { folder: self.folder, ran: self.ran, table: told, profile, report })
     }
 
     /// What the run would do: nothing but the dressing of a subject without scans, which takes seconds, is run.
@@ -134,8 +159,12 @@ impl Run {
     /// All stages that are on, in their order; returns the tables of what was measured. `dry`: up to the first that is not done.
     fn stages(&mut self, dry: bool) -> std::result::Result<String, Halt> {
         self.dry = dry;
-        let c = serde_json::to_value(&self.config)
+        let mut c = serde_json::to_value(&self.config)
             .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
+        // What only looks at training does not change it.
+        if let Some(train) = c["train"].as_object_mut() {
+            LOOKING.iter().for_each(|key| drop(train.remove(*key)));
+        }
         // Parts of the configuration by their dotted paths.
         let part = |paths: &[&str]| -> Vec<serde_json::Value> {
             paths.iter().map(|path| path.split('.').fold(&c, |value, name| &value[name]).clone()).collect()
@@ -290,7 +319,7 @@ impl Run {
 
     fn context<'a>(&'a self, stage: &'a str, key: &'a str, progress: &'a Progress) -> Context<'a> {
         let (config, files, folder, timings) = (&self.config, &self.files, &self.folder, &self.timings);
-        Context { config, files, folder, stage, key, progress, timings }
+        Context { config, files, folder, stage, key, progress, profile: self.profile, timings }
     }
 
     /// Hashes of the files that a part of the configuration names: a stage runs again when a body or a clip has changed.

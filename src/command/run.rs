@@ -25,6 +25,9 @@ pub(crate) struct Arguments {
     /// Say what would be run, and what the scene needs of body, net and energies; run nothing.
     #[arg(long)]
     plan: bool,
+    /// Say where the time of training steps goes.
+    #[arg(long)]
+    profile: bool,
     /// With --plan: the plan as JSON.
     #[arg(long, requires = "plan")]
     json: bool,
@@ -44,9 +47,17 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
         }
         return Ok(ExitCode::SUCCESS);
     }
+    if arguments.profile {
+        run = run.profiled();
+    }
     let started = std::time::Instant::now();
     let summary = run.all()?;
     print!("{}", summary.table);
+    if arguments.profile {
+        for (part, ms) in &summary.profile {
+            println!("{ms:9.2} ms  {}", part.trim_end_matches(", ms"));
+        }
+    }
     if summary.ran.is_empty() {
         println!("Nothing to do: every stage was up to date.");
     } else {

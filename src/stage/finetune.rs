@@ -12,6 +12,7 @@ use crate::training::{GarmentStep, Order, Plan, Preview, Trainee, learn};
 use caphy_core::{Error, Result};
 use caphy_garment::energy::{Layer, Layering};
 use caphy_render::Rgb;
+use std::time::Duration;
 
 /// Both garments.
 struct Pair<'a> {
@@ -74,6 +75,17 @@ impl Trainee for Pair<'_> {
         Error::check_length("garments of a checkpoint", 2, states.len())?;
         self.upper.learner.restore(&states[0])?;
         self.lower.learner.restore(&states[1])
+    }
+    fn profile(&self) -> Vec<(&'static str, Duration)> {
+        // Parts of both garments, summed.
+        let mut sums = self.upper.learner.profile();
+        for (part, time) in self.lower.learner.profile() {
+            match sums.iter_mut().find(|(name, _)| *name == part) {
+                Some((_, sum)) => *sum += time,
+                None => sums.push((part, time)),
+            }
+        }
+        sums
     }
     fn draw(&self, preview: &Preview<'_>) -> Result<Rgb> {
         let [upper, lower] = self.both().map(Pupil::trained);

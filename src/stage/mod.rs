@@ -42,6 +42,8 @@ pub struct Context<'a> {
     pub key: &'a str,
     /// Where the stage says how far it is.
     pub progress: &'a Progress,
+    /// Whether training measures where the time of its steps goes.
+    pub profile: bool,
     /// Times that were measured, by name: they stay out of artifacts, which are the same bits in every run.
     pub timings: &'a Mutex<BTreeMap<String, f64>>,
 }

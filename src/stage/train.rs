@@ -17,6 +17,7 @@ use caphy_garment::template::GarmentKind;
 use caphy_render::Rgb;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Trained nets, upper first.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -94,7 +95,8 @@ impl<'a> Pupil<'a> {
         let table = &context.config.garment(fitted.kind)?.material;
         let model: Arc<_> = Arc::from(material(table, config_key(fitted.kind), first.material.as_deref())?);
         let (net, config, contact) = (&context.config.net, &context.config.train, scene.contact(fitted)?);
-        let learner = GarmentLearner::new(fitted, &first, model, net, config, motion, scans, contact.clone())?;
+        let mut learner = GarmentLearner::new(fitted, &first, model, net, config, motion, scans, contact.clone())?;
+        learner.set_profiling(context.profile);
         Ok(Pupil { fitted, first, learner, contact, motion, scans })
     }
     /// The garment with its net as it is now.
@@ -152,6 +154,9 @@ impl Trainee for Alone<'_> {
     fn restore(&mut self, states: &[LearnerState]) -> Result<()> {
         Error::check_length("garments of a checkpoint", 1, states.len())?;
         self.pupil.learner.restore(&states[0])
+    }
+    fn profile(&self) -> Vec<(&'static str, Duration)> {
+        self.pupil.learner.profile()
     }
     fn draw(&self, preview: &Preview<'_>) -> Result<Rgb> {
         preview.draw(&[(self.pupil.fitted, &self.pupil.trained())])

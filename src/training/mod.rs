@@ -27,7 +27,7 @@ use record::{Line, Position, Record, kind};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// What one step did to one garment.
 pub struct GarmentStep {
@@ -53,6 +53,8 @@ pub trait Trainee {
     fn snapshot(&self) -> Vec<LearnerState>;
     /// Goes back to a snapshot.
     fn restore(&mut self, states: &[LearnerState]) -> Result<()>;
+    /// Wall time of all steps by part, in their order; nothing unless the context asks for it.
+    fn profile(&self) -> Vec<(&'static str, Duration)>;
     /// The garments on the body, now.
     fn draw(&self, preview: &Preview<'_>) -> Result<Rgb>;
 }
@@ -149,6 +151,7 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
     };
     set_left(&mut plan, step);
     let mut last = Instant::now();
+    let mut stepped = 0usize;
     while step < steps {
         let share = step as f64 / steps as f64;
         let rate = at.rate_factor * trainer::learning_rate(config, plan.learning_rate, share);
@@ -158,6 +161,7 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
         let started = Instant::now();
         let outcome = trainee.step(batch, share, rate, measure);
         let seconds = started.elapsed().as_secs_f64();
+        stepped += 1;
         match outcome {
             Ok(done) => {
                 let scans = batch.scans;
@@ -243,6 +247,10 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
             }
             Err(error) => return Err(error),
         }
+    }
+    for (i, (part, time)) in trainee.profile().into_iter().enumerate() {
+        let ms = time.as_secs_f64() * 1e3 / stepped.max(1) as f64;
+        context.time(&format!("step of {name}: {:02} {part}, ms", i + 1), ms);
     }
     times.sort_by(f64::total_cmp);
     Ok(Outcome { curves, step_ms: times.get(times.len() / 2).copied().unwrap_or(0.0) })

@@ -180,7 +180,7 @@ impl Stage {
     }
     fn context(&self) -> Context<'_> {
         let Stage { config, files, folder, progress, timings } = self;
-        Context { config, files, folder: folder.path(), stage: "train", key: "key", progress, timings }
+        Context { config, files, folder: folder.path(), stage: "train", key: "key", progress, profile: false, timings }
     }
     fn lines(&self, garment: &str) -> Vec<Value> {
         let path = self.folder.path().join(format!("metrics-train-{garment}.jsonl"));
@@ -368,6 +368,9 @@ impl Trainee for Counting {
         self.batch_sum = 0;
         self.rates.clear();
         Ok(())
+    }
+    fn profile(&self) -> Vec<(&'static str, Duration)> {
+        Vec::new()
     }
     fn draw(&self, _: &Preview<'_>) -> Result<Rgb> {
         Ok(Rgb::filled(1, 1, [0; 3]))
