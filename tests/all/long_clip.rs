@@ -125,7 +125,7 @@ fn periodic(from: &Pose, to: &Pose, frames: usize) -> Vec<Pose> {
     let pose = |frame: usize| {
         let share = 0.5 - 0.5 * (TAU * (frame % PERIOD) as f64 / PERIOD as f64).cos();
         let rotations = from.rotations.iter().zip(&to.rotations).map(|(a, b)| a + (b - a) * share).collect();
-        Pose { rotations, translation: from.translation + Vec3::z() * (PACE * frame as f64), ..from.clone() }
+        Pose { rotations, translation: from.translation + Vec3::z() * (PACE * frame as f64) }
     };
     (0..frames).map(pose).collect()
 }

@@ -38,7 +38,7 @@ fn events(bytes: &[u8]) -> Vec<Seen> {
             }
         }
         let crc = !crc;
-        ((crc >> 15) | (crc << 17)).wrapping_add(0xa282_ead8)
+        crc.rotate_right(15).wrapping_add(0xa282_ead8)
     }
     /// Fields of a message: number and content; fixed and variable numbers as little-endian bytes.
     fn fields(mut data: &[u8]) -> Vec<(u64, Vec<u8>)> {

@@ -275,6 +275,23 @@ fn rigid_motion_costs_nothing() {
     assert_eq!(inertia.transitions(5, false), 3);
     let (energy, _) = evaluate(&inertia, &State::new(&glide));
     assert!(energy.iter().all(|e| e.abs() < 1e-25), "{energy:?}");
+    // With the two steps before, the rest of a window has the energy and forces of the whole.
+    let mut bent = glide.clone();
+    let points: Vec<Vec3> = glide.frame(3, 0).iter().map(|p| p + 0.1 * p.y * Vec3::z()).collect();
+    bent.set_frame(3, 0, &points).unwrap();
+    let (whole, forces) = evaluate(&inertia, &State::new(&bent));
+    let (mut past, mut window) = (Frames::<f64>::zeros(2, points.len(), 1), Frames::<f64>::zeros(2, points.len(), 1));
+    for step in 0..4 {
+        let part = if step < 2 { &mut past } else { &mut window };
+        part.set_frame(step % 2, 0, &bent.frame(step, 0)).unwrap();
+    }
+    assert_eq!((inertia.transitions(2, false), inertia.transitions(2, true)), (0, 2));
+    let (energy, own) = evaluate(&inertia, &State::new(&window).with_past(&past));
+    assert_eq!(energy, whole[2..]);
+    assert!(whole[3] > 0.0);
+    for v in 0..points.len() {
+        assert_eq!((own.get(0, 0, v), own.get(1, 0, v)), (forces.get(2, 0, v), forces.get(3, 0, v)));
+    }
     let (energy, _) = evaluate(&Inertia::new(&rest, 0.1, InertiaRule::Faithful).unwrap(), &State::new(&glide));
     let expected = rest.mass() / (2.0 * 0.01) * Vec3::new(0.5, -0.25, 0.125).norm_squared();
     assert!((energy[1] - expected).abs() < 1e-12 * expected && energy[2] < 1e-25);
