@@ -25,6 +25,7 @@ use caphy_core::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock,
 use caphy_core::{Error, Real, Result, simd_kernel};
 use caphy_garment::GarmentRest;
 use caphy_garment::contact::ContactMap;
+use caphy_garment::contact_surface::{ContactPoints, ContactSurface};
 use caphy_garment::energy::{BodyState, Chamfer, EnergyTerm, ScanCloud, State};
 use caphy_garment::features::{FeatureOptions, PoseFeatures, moving_joints};
 use caphy_garment::skinning::{JointFrames, Skinner};
@@ -120,6 +121,8 @@ pub struct GarmentLearner<'a> {
     motion: &'a MotionFrames,
     scans: &'a ScanFrames,
     contact: ContactMap,
+    /// Triangles of the body, where they are met rather than vertices.
+    surface: Option<ContactSurface>,
     frame_clip: f64,
     lead_in: usize,
     output_scale: f32,
@@ -256,6 +259,7 @@ impl<'a> GarmentLearner<'a> {
             motion,
             scans,
             contact,
+            surface: None,
             frame_clip: config.frame_clip,
             lead_in: config.lead_in,
             output_scale: trained.output_scale_m as f32,
@@ -267,6 +271,14 @@ impl<'a> GarmentLearner<'a> {
             pool: Pool::default(),
             clock: StageClock::off(),
         })
+    }
+    /// Lets the garment meet the body's triangles from now on, which are those of the track's vertices.
+    ///
+    /// # Errors
+    /// As [`ContactSurface::new`].
+    pub fn meet_triangles(&mut self, faces: &[[u32; 3]]) -> Result<()> {
+        self.surface = Some(ContactSurface::new(self.motion.track.vertices(), faces)?);
+        Ok(())
     }
     /// Measures from now on where the time of steps goes, from zero; or stops measuring.
     pub fn set_profiling(&mut self, on: bool) {
@@ -327,8 +339,12 @@ impl<'a> GarmentLearner<'a> {
         clock.time("body", || track.gather_into(&batch.frames, &mut body, &mut normals))?;
         let mut nearest = Vec::new();
         clock.time("contact search", || self.contact.nearest_into(&positions, &body, &mut nearest))?;
+        let met = clock.time("contact points", || {
+            self.surface.as_ref().map(|s| s.points(&positions, &body, &normals, &nearest)).transpose()
+        })?;
+        let vertices = BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) };
         let state = State::new(&positions)
-            .with_body(BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) })
+            .with_body(met.as_ref().map_or(vertices, ContactPoints::state))
             .with_targets(&targets);
         let state = lead.as_ref().map_or(state, |lead| state.with_past(&lead.past));
         let mut gradient = pool.frames(steps, self.skinner.vertex_count(), windows);

@@ -333,6 +333,17 @@ pub enum Translation {
     PelvisPosition,
 }
 
+/// What of the body garments meet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ContactWith {
+    /// The nearest vertex.
+    #[default]
+    Vertex,
+    /// The nearest point of the triangles around the nearest vertex.
+    Triangle,
+}
+
 /// `[train]`
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -381,6 +392,9 @@ pub struct TrainConfig {
     pub output_scale_m: f64,
     /// How stiff the body's contact is.
     pub contact: ContactOptions,
+    /// What of the body garments meet in training: `"vertex"`, the nearest vertex (default; the reference solver's contact, too), or
+    /// `"triangle"`, the nearest point of the triangles around it, smoother and about half a step dearer.
+    pub contact_with: ContactWith,
     /// Weights of the terms.
     pub weights: TermWeights,
 }
@@ -406,6 +420,7 @@ impl Default for TrainConfig {
             scan_points: 4000,
             output_scale_m: 0.02,
             contact: ContactOptions { margin: 4e-3, ..ContactOptions::default() },
+            contact_with: ContactWith::Vertex,
             weights: TermWeights::default(),
         }
     }

@@ -4,7 +4,7 @@
 use super::optimise::Estimates;
 use super::preprocess::Subject;
 use super::{Context, StageOutput, material};
-use crate::config::TrainConfig;
+use crate::config::{ContactWith, TrainConfig};
 use crate::garment::{FittedGarment, TrainedGarment};
 use crate::progress::{Pace, Work};
 use crate::scene::{FrameNames, Scene, scan_frames};
@@ -97,6 +97,9 @@ impl<'a> Pupil<'a> {
         let (net, config, contact) = (&context.config.net, &context.config.train, scene.contact(fitted)?);
         let mut learner = GarmentLearner::new(fitted, &first, model, net, config, motion, scans, contact.clone())?;
         learner.set_profiling(context.profile);
+        if config.contact_with == ContactWith::Triangle {
+            learner.meet_triangles(&scene.reach.faces)?;
+        }
         Ok(Pupil { fitted, first, learner, contact, motion, scans })
     }
     /// The garment with its net as it is now.

@@ -6,6 +6,7 @@ use caphy_core::Error;
 use caphy_core::array::{In, Out};
 use caphy_core::lanes::Frames;
 use caphy_core::net::{ForwardBlock, ForwardCall};
+use caphy_garment::contact_surface::ContactPoints;
 use caphy_garment::energy::{BodyState, EnergyTerm, ScanCloud, State};
 
 /// The first thing on a step's way that is not finite.
@@ -114,8 +115,10 @@ impl GarmentLearner<'_> {
             return Ok(geometry);
         }
         let nearest = self.contact.nearest(&positions, &body)?;
+        let met = self.surface.as_ref().map(|s| s.points(&positions, &body, &normals, &nearest)).transpose()?;
+        let vertices = BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) };
         let state = State::new(&positions)
-            .with_body(BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) })
+            .with_body(met.as_ref().map_or(vertices, ContactPoints::state))
             .with_targets(&targets);
         let scale = 1.0 / batch.frames.len() as f64;
         let dynamics = if batch.scans { Dynamics::Static } else { Dynamics::Moving };

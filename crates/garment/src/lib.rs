@@ -4,6 +4,7 @@
 //! ([`skinning`], Eq. 2), told about the pose ([`features`]) and judged by the energies of Eqs. 3-12 ([`energy`]).
 
 pub mod contact;
+pub mod contact_surface;
 pub mod energy;
 pub mod estimate;
 pub mod features;
