@@ -339,9 +339,9 @@ impl<'a> GarmentLearner<'a> {
         clock.time("body", || track.gather_into(&batch.frames, &mut body, &mut normals))?;
         let mut nearest = Vec::new();
         clock.time("contact search", || self.contact.nearest_into(&positions, &body, &mut nearest))?;
-        let met = clock.time("contact points", || {
-            self.surface.as_ref().map(|s| s.points(&positions, &body, &normals, &nearest)).transpose()
-        })?;
+        let points =
+            |s: &ContactSurface| clock.time("contact points", || s.points(&positions, &body, &normals, &nearest));
+        let met = self.surface.as_ref().map(points).transpose()?;
         let vertices = BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) };
         let state = State::new(&positions)
             .with_body(met.as_ref().map_or(vertices, ContactPoints::state))

@@ -63,10 +63,14 @@ fn threads_used_memory_and_kept_bodies_do_not_change_a_bit_and_the_clock_names_e
     // A head of zeros would hide what the net does.
     first.parameters.iter_mut().enumerate().for_each(|(i, p)| *p += 0.05 * (i as f32).sin());
 
-    let train = |motion: &MotionFrames, threads: usize, order: &[usize]| {
+    let watching = TrainConfig { lead_in: 3, ..TrainConfig::default() };
+    let train_as = |config: &TrainConfig, triangles: bool, motion: &MotionFrames, threads: usize, order: &[usize]| {
         let contact = reach.contact(&skin, &shirt).unwrap();
         let mut learner =
-            GarmentLearner::new(&shirt, &first, material.clone(), &net, &config, motion, &scans, contact).unwrap();
+            GarmentLearner::new(&shirt, &first, material.clone(), &net, config, motion, &scans, contact).unwrap();
+        if triangles {
+            learner.meet_triangles(&reach.faces).unwrap();
+        }
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let batches = batches();
@@ -84,10 +88,21 @@ fn threads_used_memory_and_kept_bodies_do_not_change_a_bit_and_the_clock_names_e
             (learner.snapshot(), energies)
         })
     };
+    let train = |motion: &MotionFrames, threads, order: &[usize]| train_as(&config, false, motion, threads, order);
     let reference = train(&kept, 1, &[]);
     assert!(reference.1[0].iter().any(|(name, e)| *name == "collision" && *e > 0.0), "{:?}", reference.1);
     assert!(reference == train(&kept, 2, &[2, 0, 1, 1]));
     assert!(reference == train(&posed, 2, &[0, 2]));
+    // Knobs that act, as repeatably.
+    for (config, triangles) in [(&watching, false), (&config, true)] {
+        let changed = train_as(config, triangles, &kept, 1, &[]);
+        assert!(changed.0 != reference.0);
+        assert!(changed == train_as(config, triangles, &posed, 2, &[2, 1]));
+    }
+    // Inertia counts in every frame that something led into: here all of them, without in two of four.
+    let inertia = |energies: &TermEnergies| energies.iter().find(|e| e.0 == "inertia").map(|e| e.1);
+    let led = train_as(&watching, false, &kept, 1, &[]);
+    assert!(inertia(&led.1[0]) != inertia(&reference.1[0]) && inertia(&led.1[0]).is_some());
 
     let contact = reach.contact(&skin, &shirt).unwrap();
     let mut learner = GarmentLearner::new(&shirt, &first, material, &net, &config, &posed, &scans, contact).unwrap();
