@@ -8,7 +8,7 @@ use caphy::config::TrainConfig;
 use caphy::garment::FittedGarment;
 use caphy::plugins::{Kind, PluginTable, Plugins};
 use caphy::track::{BodyTrack, Reach};
-use caphy::trainer::{Batch, GarmentLearner, MotionFrames, ScanFrames, untrained};
+use caphy::trainer::{Batch, BatchKind, GarmentLearner, MotionFrames, ScanFrames, untrained};
 use caphy_bodymodel::BodyMannequin;
 use caphy_bodymodel::procedural_motion::{MotionKind, procedural_clip};
 use caphy_core::Vec3;
@@ -65,8 +65,11 @@ fn training_step(c: &mut Criterion) {
     let (plugins, path) = (Plugins::new().expect("linked plugins"), Path::new("bench.toml"));
     let net = PluginTable::parse(&plugins, Kind::Net, path, "type = \"gru\"").expect("a net");
     let first = untrained(&shirt, body.describe(), &net, &config, &motion, &scans.track, 1).expect("an untrained net");
-    let batch =
-        Batch { frames: (0..5).flat_map(|t| (0..16).map(move |w| 7 * w + t)).collect(), windows: 16, scans: false };
+    let batch = Batch {
+        frames: (0..5).flat_map(|t| (0..16).map(move |w| 7 * w + t)).collect(),
+        windows: 16,
+        kind: BatchKind::Windows,
+    };
     for (material, table) in [
         ("stvk", "type = \"stvk\"\nyoung_pa = 0.7e5\npoisson = 0.485\nthickness_m = 0.47e-3\ndensity_kg_per_m2 = 0.2"),
         ("measured", "type = \"measured\"\nfabric = \"gray-interlock\""),

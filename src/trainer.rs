@@ -68,8 +68,19 @@ pub struct Batch {
     pub frames: Vec<usize>,
     /// Windows.
     pub windows: usize,
-    /// Whether the frames are scan poses.
-    pub scans: bool,
+    /// What the frames are.
+    pub kind: BatchKind,
+}
+
+/// What a batch shows a net.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BatchKind {
+    /// Windows of motion.
+    Windows,
+    /// Single frames of motion, in which nothing moves.
+    Still,
+    /// Scan poses, with their scans.
+    Scans,
 }
 
 /// The random windows of one epoch, in batches; a function of seed and epoch alone, so that a resumed run draws the same.
@@ -88,9 +99,17 @@ pub fn window_batches(motion: &MotionFrames, config: &TrainConfig, count: usize,
         .map(|starts| Batch {
             frames: (0..config.window).flat_map(|t| starts.iter().map(move |s| s + t)).collect(),
             windows: starts.len(),
-            scans: false,
+            kind: BatchKind::Windows,
         })
         .collect()
+}
+
+/// Single poses of one round, in batches: frames of windows that may be drawn.
+pub fn still_batches(motion: &MotionFrames, config: &TrainConfig, seed: u64, round: u64) -> Vec<Batch> {
+    let poses = TrainConfig { window: 1, ..config.clone() };
+    let mut batches = window_batches(motion, &poses, config.still_poses, seed ^ 0x57_1115, round);
+    batches.iter_mut().for_each(|batch| batch.kind = BatchKind::Still);
+    batches
 }
 
 /// The scan poses of one epoch, in batches, shuffled like [`window_batches`].
@@ -101,7 +120,7 @@ pub fn scan_batches(count: usize, config: &TrainConfig, seed: u64, epoch: u64) -
     order.shuffle(&mut rng);
     order
         .chunks(config.batch)
-        .map(|frames| Batch { frames: frames.to_vec(), windows: frames.len(), scans: true })
+        .map(|frames| Batch { frames: frames.to_vec(), windows: frames.len(), kind: BatchKind::Scans })
         .collect()
 }
 
@@ -117,6 +136,7 @@ pub struct GarmentLearner<'a> {
     net: Box<dyn DeformationNet>,
     features: PoseFeatures,
     motion_features: Vec<Vec<f32>>,
+    still_features: Vec<Vec<f32>>,
     scan_features: Vec<Vec<f32>>,
     motion: &'a MotionFrames,
     scans: &'a ScanFrames,
@@ -238,12 +258,12 @@ impl<'a> GarmentLearner<'a> {
         let motion_features = (0..motion.track.len())
             .map(|f| trained.features.frame(&motion.track.poses[f], before(motion, f), step))
             .collect::<Result<Vec<Vec<f32>>>>()?;
-        let scan_features = scans
-            .track
-            .poses
-            .iter()
-            .map(|p| trained.features.frame(p, None, step))
-            .collect::<Result<Vec<Vec<f32>>>>()?;
+        let alone = |pose| trained.features.frame(pose, None, step);
+        let still_features = match config.still_poses {
+            0 => Vec::new(),
+            _ => motion.track.poses.iter().map(alone).collect::<Result<Vec<Vec<f32>>>>()?,
+        };
+        let scan_features = scans.track.poses.iter().map(alone).collect::<Result<Vec<Vec<f32>>>>()?;
         let n = trained.parameters.len();
         Ok(GarmentLearner {
             chamfer: Chamfer::new(&rest, Some(&scans.visible))?,
@@ -255,6 +275,7 @@ impl<'a> GarmentLearner<'a> {
             net,
             features: trained.features.clone(),
             motion_features,
+            still_features,
             scan_features,
             motion,
             scans,
@@ -293,11 +314,7 @@ impl<'a> GarmentLearner<'a> {
 
     /// Poses a batch by the net and adds up its energies and their gradients by the garment's vertices, as means over frames.
     pub fn forward(&self, batch: &Batch) -> Result<Pass> {
-        let (track, features) = if batch.scans {
-            (&*self.scans.track, &self.scan_features)
-        } else {
-            (&self.motion.track, &self.motion_features)
-        };
+        let (track, features) = self.told(batch);
         let windows = batch.windows;
         let steps = batch.frames.len() / windows;
         let (pool, clock) = (&self.pool, &self.clock);
@@ -305,7 +322,7 @@ impl<'a> GarmentLearner<'a> {
         for (row, &f) in inputs.chunks_exact_mut(self.net.manifest().inputs.max(1)).zip(&batch.frames) {
             row.copy_from_slice(&features[f]);
         }
-        let lead = if batch.scans { None } else { self.lead(batch)? };
+        let lead = if batch.kind == BatchKind::Windows { self.lead(batch)? } else { None };
         let state_before = lead.as_ref().map_or(In::absent(), |lead| (&lead.state[..]).into());
         // Zeros: a net of somebody else's may add to what it finds.
         let mut output = pool.zeros(batch.frames.len() * self.net.manifest().outputs);
@@ -350,9 +367,9 @@ impl<'a> GarmentLearner<'a> {
         let mut gradient = pool.frames(steps, self.skinner.vertex_count(), windows);
         gradient.clear();
         let scale = 1.0 / (steps * windows) as f64;
-        let dynamics = if batch.scans { Dynamics::Static } else { Dynamics::Moving };
+        let dynamics = if batch.kind == BatchKind::Windows { Dynamics::Moving } else { Dynamics::Static };
         let mut energies = self.physics.add(&state, dynamics, scale, Some(&mut gradient))?;
-        if batch.scans {
+        if batch.kind == BatchKind::Scans {
             let clouds: Vec<&ScanCloud<f32>> = batch.frames.iter().map(|&f| &self.scans.clouds[f]).collect();
             let state = state.with_scans(&clouds);
             let mut squared = vec![0.0; batch.frames.len()];
@@ -377,6 +394,15 @@ impl<'a> GarmentLearner<'a> {
             steps,
             windows,
         })
+    }
+
+    /// Bodies of a batch's frames, and what the net is told of each.
+    fn told(&self, batch: &Batch) -> (&BodyTrack, &[Vec<f32>]) {
+        match batch.kind {
+            BatchKind::Windows => (&self.motion.track, &self.motion_features),
+            BatchKind::Still => (&self.motion.track, &self.still_features),
+            BatchKind::Scans => (&self.scans.track, &self.scan_features),
+        }
     }
 
     /// Plays the frames before the windows of a batch, without a gradient: a clip that begins later stands still in its first frame

@@ -8,7 +8,9 @@ use crate::config::{ContactWith, TrainConfig};
 use crate::garment::{FittedGarment, TrainedGarment};
 use crate::progress::{Pace, Work};
 use crate::scene::{FrameNames, Scene, scan_frames};
-use crate::trainer::{self, Batch, CurvePoint, Fault, GarmentLearner, LearnerState, MotionFrames, ScanFrames};
+use crate::trainer::{
+    self, Batch, BatchKind, CurvePoint, Fault, GarmentLearner, LearnerState, MotionFrames, ScanFrames,
+};
 use crate::training::measures::{Measures, depth, stretches};
 use crate::training::{GarmentStep, Order, Plan, Preview, Trainee, learn};
 use caphy_core::{Error, Result};
@@ -111,7 +113,7 @@ impl<'a> Pupil<'a> {
     /// # Errors
     /// As [`depth`].
     pub fn measures(&self, batch: &Batch, pass: &trainer::Pass) -> Result<Measures> {
-        let track = if batch.scans { &*self.scans.track } else { &self.motion.track };
+        let track = if batch.kind == BatchKind::Scans { &*self.scans.track } else { &self.motion.track };
         let [major_stretch, minor_stretch] = stretches(&self.learner.rest, &pass.positions);
         let body = depth(&self.contact, track, batch, &pass.positions)?;
         Ok(Measures { major_stretch, minor_stretch, body })
@@ -243,15 +245,51 @@ fn shifted(curve: Vec<CurvePoint>, before: &[CurvePoint]) -> Vec<CurvePoint> {
     curve.into_iter().map(|p| CurvePoint { step: p.step + offset, ..p }).collect()
 }
 
-/// A round is 1 epoch of windows and `scan_epochs` epochs of scan poses.
+/// Some batches spread evenly among many.
+fn spread(many: Vec<Batch>, some: Vec<Batch>) -> Vec<Batch> {
+    let (count, all) = (some.len(), many.len().max(1));
+    let mut some = some.into_iter();
+    let mut out = Vec::new();
+    for (i, batch) in many.into_iter().enumerate() {
+        out.push(batch);
+        let due = (i + 1) * count / all - i * count / all;
+        out.extend(some.by_ref().take(due));
+    }
+    out.extend(some);
+    out
+}
+
+/// A round is 1 epoch of windows with single poses among them and `scan_epochs` epochs of scan poses.
 fn order<'a>(context: &Context<'a>, motion: &'a MotionFrames, scans: usize, rounds: usize, seed: u64) -> Order<'a> {
     let config = &context.config.train;
     Order::new(rounds, move |round| {
         let round = round as u64;
-        let mut batches = trainer::window_batches(motion, config, config.windows, seed, round);
+        let windows = trainer::window_batches(motion, config, config.windows, seed, round);
+        let still = trainer::still_batches(motion, config, seed, round);
+        let mut batches = spread(windows, still);
         for epoch in 0..config.scan_epochs as u64 {
             batches.extend(trainer::scan_batches(scans, config, seed, round * config.scan_epochs as u64 + epoch));
         }
         batches
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn single_poses_are_spread_among_windows() {
+        let batches = |kind, count| (0..count).map(|i| Batch { frames: vec![i], windows: 1, kind }).collect::<Vec<_>>();
+        for (many, some) in [(8, 3), (2, 5), (0, 2), (4, 0)] {
+            let all = spread(batches(BatchKind::Windows, many), batches(BatchKind::Still, some));
+            let of = |kind| all.iter().filter(|b| b.kind == kind).map(|b| b.frames[0]).collect::<Vec<_>>();
+            // Nothing is lost, and each keeps its order.
+            assert_eq!(of(BatchKind::Windows), (0..many).collect::<Vec<_>>());
+            assert_eq!(of(BatchKind::Still), (0..some).collect::<Vec<_>>());
+        }
+        let all = spread(batches(BatchKind::Windows, 9), batches(BatchKind::Still, 3));
+        let still: Vec<usize> = (0..12).filter(|&i| all[i].kind == BatchKind::Still).collect();
+        assert_eq!(still, [3, 7, 11]);
+    }
 }

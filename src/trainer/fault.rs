@@ -1,6 +1,6 @@
 //! What a step that left the finite numbers stumbled over: asked once, after the fact.
 
-use super::{Batch, GarmentLearner};
+use super::{Batch, BatchKind, GarmentLearner};
 use crate::physics::Dynamics;
 use caphy_core::Error;
 use caphy_core::array::{In, Out};
@@ -24,11 +24,7 @@ impl GarmentLearner<'_> {
     /// Looks along the way of a batch through net, skinning and energies, in their order, for the first value that is not
     /// finite. Changes nothing, so that it can be asked between a step that failed and going back.
     pub fn fault(&self, batch: &Batch) -> Option<Fault> {
-        let (track, features) = if batch.scans {
-            (&*self.scans.track, &self.scan_features)
-        } else {
-            (&self.motion.track, &self.motion_features)
-        };
+        let (track, features) = self.told(batch);
         let found = |source: &str, what: String, frame| Some(Fault { source: source.into(), what, frame });
         for &frame in &batch.frames {
             if let Some(i) = features[frame].iter().position(|f| !f.is_finite()) {
@@ -121,12 +117,12 @@ impl GarmentLearner<'_> {
             .with_body(met.as_ref().map_or(vertices, ContactPoints::state))
             .with_targets(&targets);
         let scale = 1.0 / batch.frames.len() as f64;
-        let dynamics = if batch.scans { Dynamics::Static } else { Dynamics::Moving };
+        let dynamics = if batch.kind == BatchKind::Windows { Dynamics::Moving } else { Dynamics::Static };
         if let Some(fault) = self.physics.fault(&self.rest, &state, dynamics, scale) {
             let source = format!("energy `{}`", fault.term);
             return Ok(Some(Fault { source, what: fault.what, frame: frame_of(fault.step, fault.window) }));
         }
-        if batch.scans && self.scan_weight > 0.0 {
+        if batch.kind == BatchKind::Scans && self.scan_weight > 0.0 {
             let clouds: Vec<&ScanCloud<f32>> = batch.frames.iter().map(|&f| &self.scans.clouds[f]).collect();
             let mut energy = vec![0.0; batch.frames.len()];
             let mut gradient = Frames::zeros(steps, positions.vertices(), windows);

@@ -11,14 +11,15 @@ use caphy_garment::skinning::{WeightOptions, garment_weights};
 use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
 use std::path::Path;
 
-/// A batch of windows, one of scans, one of fewer windows.
-fn batches() -> [Batch; 3] {
+/// A batch of windows, one of scans, one of fewer windows, one of single poses.
+fn batches() -> [Batch; 4] {
     let windows = |count: usize| Batch {
         frames: (0..4).flat_map(|t| (0..count).map(move |w| 3 * w + t)).collect(),
         windows: count,
-        scans: false,
+        kind: BatchKind::Windows,
     };
-    [windows(6), Batch { frames: vec![1, 0], windows: 2, scans: true }, windows(3)]
+    let still = Batch { frames: (0..7).map(|i| 4 * i).collect(), windows: 7, kind: BatchKind::Still };
+    [windows(6), Batch { frames: vec![1, 0], windows: 2, kind: BatchKind::Scans }, windows(3), still]
 }
 
 #[test]
@@ -53,7 +54,7 @@ fn threads_used_memory_and_kept_bodies_do_not_change_a_bit_and_the_clock_names_e
         clouds,
         visible: vec![true; shirt.mesh.vertices.len()],
     };
-    let config = TrainConfig::default();
+    let config = TrainConfig { lead_in: 0, ..TrainConfig::default() };
     let (plugins, path) = (Plugins::new().unwrap(), Path::new("test.toml"));
     let net = PluginTable::parse(&plugins, Kind::Net, path, "type = \"gru\"\nhidden = 24\nlayers = 2").unwrap();
     let fabric = PluginTable::parse(&plugins, Kind::Material, path, "type = \"measured\"\nfabric = \"gray-interlock\"");

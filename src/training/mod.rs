@@ -19,7 +19,7 @@ use crate::physics::TermEnergies;
 use crate::progress::Pace;
 use crate::scene::FrameNames;
 use crate::stage::Context;
-use crate::trainer::{self, Batch, CurvePoint, Fault, LearnerState};
+use crate::trainer::{self, Batch, BatchKind, CurvePoint, Fault, LearnerState};
 use caphy_core::{Error, Result};
 use caphy_render::{Rgb, png};
 use measures::Measures;
@@ -164,8 +164,8 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
         stepped += 1;
         match outcome {
             Ok(done) => {
-                let scans = batch.scans;
-                if !scans && batch.windows == config.batch && !measure {
+                let (scans, single) = (batch.kind == BatchKind::Scans, batch.kind != BatchKind::Windows);
+                if !single && batch.windows == config.batch && !measure {
                     times.push(seconds * 1e3);
                 }
                 let weights = trainee.scheduled(share);
@@ -182,7 +182,9 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
                             measures: garment.measures,
                         })?;
                     }
-                    if step.is_multiple_of(every) || scans && step % every < config.scan_epochs {
+                    let shown = step.is_multiple_of(every) || scans && step % every < config.scan_epochs;
+                    // Curves are of windows and of scans.
+                    if shown && (scans || !single) {
                         curve.push(CurvePoint {
                             step,
                             scans,
@@ -210,7 +212,7 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
                     };
                     artifact::save(&path, "checkpoint", &key, &at)?;
                 }
-                plan.pace.step(plan.kinds[usize::from(scans)], seconds);
+                plan.pace.step(plan.kinds[usize::from(single)], seconds);
                 plan.pace.between((last.elapsed().as_secs_f64() - seconds).max(0.0));
                 last = Instant::now();
                 let [from, to] = plan.part;
@@ -262,9 +264,12 @@ fn explain(trainee: &dyn Trainee, batch: &Batch, names: &FrameNames, error: &Err
     let place = match fault.frame.map(|frame| (frame, batch.frames.iter().position(|f| *f == frame))) {
         Some((frame, Some(at))) => {
             let (step, window) = (at / batch.windows, at % batch.windows);
-            format!(", in {} (window {window} of the batch, frame {step} of it)", names.long(frame, batch.scans))
+            format!(
+                ", in {} (window {window} of the batch, frame {step} of it)",
+                names.long(frame, batch.kind == BatchKind::Scans)
+            )
         }
-        Some((frame, None)) => format!(", in {}", names.long(frame, batch.scans)),
+        Some((frame, None)) => format!(", in {}", names.long(frame, batch.kind == BatchKind::Scans)),
         None => String::new(),
     };
     format!("{} of {garment}: {}{place}", fault.source, fault.what)

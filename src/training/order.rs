@@ -1,7 +1,7 @@
 //! The batches of a training, in order: a function of the configuration and the seed, so that a resumed run goes on where
 //! it was.
 
-use crate::trainer::Batch;
+use crate::trainer::{Batch, BatchKind};
 
 /// All batches, made round by round: a night's worth of them is never held at once.
 pub struct Order<'a> {
@@ -22,7 +22,7 @@ impl<'a> Order<'a> {
         for round in 0..rounds {
             let batches = make(round);
             starts.push(starts[round] + batches.len());
-            scan_starts.push(scan_starts[round] + batches.iter().filter(|b| b.scans).count());
+            scan_starts.push(scan_starts[round] + batches.iter().filter(|b| b.kind != BatchKind::Windows).count());
         }
         Order { make: Box::new(make), starts, scan_starts, round: usize::MAX, batches: Vec::new() }
     }
@@ -58,7 +58,7 @@ impl<'a> Order<'a> {
         } else {
             self.batch(step);
             let here = &self.batches[..step - self.starts[self.round]];
-            self.scan_starts[self.round] + here.iter().filter(|b| b.scans).count()
+            self.scan_starts[self.round] + here.iter().filter(|b| b.kind != BatchKind::Windows).count()
         };
         let scans = self.scan_starts[self.scan_starts.len() - 1] - scans_before;
         [self.len() - step.min(self.len()) - scans, scans]
@@ -73,8 +73,8 @@ mod tests {
     fn steps_are_counted_across_rounds() {
         // Round r: r + 1 steps on windows, then one on scans.
         let make = |round: usize| -> Vec<Batch> {
-            let batch = |i, scans| Batch { frames: vec![10 * round + i], windows: 1, scans };
-            (0..=round).map(|i| batch(i, false)).chain([batch(9, true)]).collect()
+            let batch = |i, kind| Batch { frames: vec![10 * round + i], windows: 1, kind };
+            (0..=round).map(|i| batch(i, BatchKind::Windows)).chain([batch(9, BatchKind::Scans)]).collect()
         };
         let mut order = Order::new(3, make);
         assert_eq!(order.len(), 9);

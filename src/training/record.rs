@@ -4,7 +4,7 @@
 //! there, so that a killed run leaves the same lines as an uninterrupted one. Times are in the event file alone.
 
 use super::measures::{Measures, Spread};
-use crate::trainer::Batch;
+use crate::trainer::{Batch, BatchKind};
 use caphy_core::{Error, Result};
 use caphy_formats::tensorboard::{Value, first_record, step_record};
 use serde::ser::SerializeMap;
@@ -53,7 +53,11 @@ pub struct Line<'a> {
 
 /// The kind of a batch in lines and names.
 pub fn kind(batch: &Batch) -> &'static str {
-    if batch.scans { "scans" } else { "windows" }
+    match batch.kind {
+        BatchKind::Windows => "windows",
+        BatchKind::Still => "poses",
+        BatchKind::Scans => "scans",
+    }
 }
 
 fn as_map<S: Serializer>(values: &&[(&'static str, f64)], serializer: S) -> std::result::Result<S::Ok, S::Error> {

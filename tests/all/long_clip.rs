@@ -5,7 +5,7 @@ use caphy::garment::{FittedGarment, TrainedGarment};
 use caphy::inference::{Play, play};
 use caphy::plugins::{Kind, PluginTable, Plugins};
 use caphy::track::{BodyTrack, Reach};
-use caphy::trainer::{self, Batch, GarmentLearner, MotionFrames, ScanFrames};
+use caphy::trainer::{self, Batch, BatchKind, GarmentLearner, MotionFrames, ScanFrames};
 use caphy_bodymodel::BodyMannequin;
 use caphy_bodymodel::procedural_motion::{MotionKind, procedural_clip};
 use caphy_core::body::{BodyModel, BodyParameters};
@@ -171,7 +171,7 @@ fn carried_state_is_sane_at_frame_300() {
         let mut largest = 0.0f64;
         for ends in late.chunks(shirt.config.batch) {
             let frames = (0..length).flat_map(|t| ends.iter().map(move |end| end + 1 + t - length)).collect();
-            let batch = Batch { frames, windows: ends.len(), scans: false };
+            let batch = Batch { frames, windows: ends.len(), kind: BatchKind::Windows };
             let positions = learner.forward(&batch).expect("a pass").positions;
             for (lane, &end) in ends.iter().enumerate() {
                 let fresh = positions.frame(length - 1, lane);
@@ -203,7 +203,7 @@ fn carried_state_is_sane_at_frame_300() {
     let sum = |garment: &TrainedGarment, frames: Vec<usize>, windows: usize| -> f64 {
         let count = frames.len() as f64;
         let learner = shirt.learner(garment, &motion, &scans);
-        let pass = learner.forward(&Batch { frames, windows, scans: false }).expect("a pass");
+        let pass = learner.forward(&Batch { frames, windows, kind: BatchKind::Windows }).expect("a pass");
         pass.energies.iter().filter(|(name, _)| *name != "inertia").map(|(_, mean)| count * mean).sum()
     };
     let count = PERIOD / shirt.config.window;

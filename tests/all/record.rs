@@ -10,7 +10,7 @@ use caphy::scene::{FrameNames, Scene, scan_frames};
 use caphy::stage::preprocess::Subject;
 use caphy::stage::train::{Alone, Nets, Pupil, Start};
 use caphy::stage::{Context, train};
-use caphy::trainer::{self, Batch, Fault, GarmentLearner, LearnerState};
+use caphy::trainer::{self, Batch, BatchKind, Fault, GarmentLearner, LearnerState};
 use caphy::training::{GarmentStep, Order, Plan, Preview, Trainee, learn};
 use caphy_core::material::{HingeCall, MaterialDescription, MaterialModel, MembraneCall};
 use caphy_core::params::Parameter;
@@ -393,7 +393,7 @@ fn training_goes_back_to_its_last_good_state_with_half_the_step() {
     let names = FrameNames::default();
     // 20 steps with checkpoints every 5: the 13th fails twice.
     let make = |round: usize| -> Vec<Batch> {
-        (0..10).map(|i| Batch { frames: vec![10 * round + i], windows: 1, scans: false }).collect()
+        (0..10).map(|i| Batch { frames: vec![10 * round + i], windows: 1, kind: BatchKind::Windows }).collect()
     };
     let mut counting = Counting { batch_sum: 0, rates: Vec::new(), bad: (13, 2), state };
     let mut pace = Pace::new(vec![Work { size: 1.0, left: 20 }, Work { size: 1.0, left: 0 }]);
