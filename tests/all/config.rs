@@ -218,7 +218,12 @@ fn settings_without_effect_are_refused() {
         ),
         ("rounds = 2", "rounds = 3\nalternations = 0", "optimise.rounds", "optimise.alternations = 0"),
         ("windows = 48", "windows = 48\nweights = { scan = 0.0 }\nscan_points = 9", "train.scan_points", "scan = 0"),
-        ("windows = 48", "windows = 48\nwindow = 2\nweights = { inertia = 2 }", "train.weights.inertia", "window < 3"),
+        (
+            "windows = 48",
+            "windows = 48\nwindow = 2\nlead_in = 0\nweights = { inertia = 2 }",
+            "train.weights.inertia",
+            "window < 3",
+        ),
         ("[animate]", "[evaluate]\nground_truth = \"x.npz\"\n\n[animate]", "evaluate.ground_truth", "synthetic"),
     ] {
         let error = error(&edited(TINY, &[(old, new)]));
