@@ -118,7 +118,7 @@ fn lines(text: &[u8]) -> Vec<Value> {
 fn every_step_of_a_run_is_on_record() {
     let all = files(finished());
     let settings = TrainConfig::default();
-    for (stage, garment, steps) in [("train", "upper", 3 * 7), ("train", "lower", 3 * 7), ("finetune", "upper", 3 * 5)]
+    for (stage, garment, steps) in [("train", "upper", 3 * 8), ("train", "lower", 3 * 8), ("finetune", "upper", 3 * 5)]
     {
         let name = format!("{stage}-{garment}");
         let lines = lines(&all[&format!("metrics-{name}.jsonl")]);
@@ -209,7 +209,7 @@ fn looking_and_constant_schedules_change_no_bit() {
     assert_eq!(steps[..6], [0, 2, 3, 4, 6, 8]);
     let previews = files(&looked.folder.path().join("previews"));
     let names: Vec<&str> = previews.keys().map(String::as_str).collect();
-    let of = |garment: &str| [7, 14, 21].map(|step| format!("train-{garment}-{step:06}.png"));
+    let of = |garment: &str| [8, 16, 24].map(|step| format!("train-{garment}-{step:06}.png"));
     assert_eq!(names, [of("lower"), of("upper")].concat());
 
     let scheduled = "weights = { strain = [[0.0, 1.0]], scan = { from = 300.0, to = 300.0, until = 0.5 } }";
