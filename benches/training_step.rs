@@ -61,7 +61,9 @@ fn training_step(c: &mut Criterion) {
     let scan_track = Arc::new(BodyTrack::new(&*body, &subject, &reach, &clip.poses[..1]).expect("a posed body"));
     let cloud = ScanCloud::new("bench", &[Vec3::zeros()]).expect("a cloud");
     let scans = ScanFrames { track: scan_track, clouds: vec![cloud], visible: vec![true; shirt.mesh.vertices.len()] };
-    let config = TrainConfig::default();
+    // The step itself; what leads into its windows is measured beside it.
+    let config = TrainConfig { lead_in: 0, ..TrainConfig::default() };
+    let led = TrainConfig::default();
     let (plugins, path) = (Plugins::new().expect("linked plugins"), Path::new("bench.toml"));
     let net = PluginTable::parse(&plugins, Kind::Net, path, "type = \"gru\"").expect("a net");
     let first = untrained(&shirt, body.describe(), &net, &config, &motion, &scans.track, 1).expect("an untrained net");
@@ -77,8 +79,8 @@ fn training_step(c: &mut Criterion) {
         let table = PluginTable::parse(&plugins, Kind::Material, path, table).expect("a material's table");
         let model: Arc<_> = Arc::from(table.material("material").expect("a material"));
         let contact = reach.contact(&rest_mesh, &shirt).expect("a contact map");
-        let mut learner =
-            GarmentLearner::new(&shirt, &first, model, &net, &config, &motion, &scans, contact).expect("a learner");
+        let mut learner = GarmentLearner::new(&shirt, &first, model.clone(), &net, &config, &motion, &scans, contact)
+            .expect("a learner");
         for threads in [1, std::thread::available_parallelism().map_or(1, usize::from)] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
             let mut group = c.benchmark_group(format!("{material}, {threads} threads"));
@@ -93,6 +95,19 @@ fn training_step(c: &mut Criterion) {
                     pool.install(|| {
                         learner.backward(&pass).expect("a gradient");
                         black_box(learner.step(1e-9, 1.0).expect("a step"))
+                    })
+                });
+            });
+            let contact = reach.contact(&rest_mesh, &shirt).expect("a contact map");
+            let mut under_way =
+                GarmentLearner::new(&shirt, &first, model.clone(), &net, &led, &motion, &scans, contact)
+                    .expect("a learner");
+            group.bench_function(format!("whole step, {} frames leading in", led.lead_in), |b| {
+                b.iter(|| {
+                    pool.install(|| {
+                        let pass = under_way.forward(&batch).expect("a pass");
+                        under_way.backward(&pass).expect("a gradient");
+                        black_box(under_way.step(1e-9, 1.0).expect("a step"))
                     })
                 });
             });
