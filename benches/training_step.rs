@@ -13,6 +13,7 @@ use caphy_bodymodel::BodyMannequin;
 use caphy_bodymodel::procedural_motion::{MotionKind, procedural_clip};
 use caphy_core::Vec3;
 use caphy_core::body::{BodyModel, BodyParameters};
+use caphy_core::material::MaterialModel;
 use caphy_garment::energy::ScanCloud;
 use caphy_garment::skinning::{WeightOptions, garment_weights};
 use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
@@ -77,7 +78,7 @@ fn training_step(c: &mut Criterion) {
         ("measured", "type = \"measured\"\nfabric = \"gray-interlock\""),
     ] {
         let table = PluginTable::parse(&plugins, Kind::Material, path, table).expect("a material's table");
-        let model: Arc<_> = Arc::from(table.material("material").expect("a material"));
+        let model: Arc<dyn MaterialModel> = Arc::from(table.material("material").expect("a material"));
         let contact = reach.contact(&rest_mesh, &shirt).expect("a contact map");
         let mut learner = GarmentLearner::new(&shirt, &first, model.clone(), &net, &config, &motion, &scans, contact)
             .expect("a learner");
