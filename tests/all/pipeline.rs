@@ -255,7 +255,7 @@ pub(crate) fn program(experiment: &Experiment) -> Command {
 }
 
 /// Runs the program and kills it as soon as a checkpoint is there; tells whether it was killed before its stage was done.
-fn killed_at(experiment: &Experiment, checkpoint: &str, stage: &str) -> bool {
+pub(crate) fn killed_at(experiment: &Experiment, checkpoint: &str, stage: &str) -> bool {
     let checkpoint = experiment.out().join(checkpoint);
     let mut child = program(experiment).stderr(Stdio::null()).spawn().expect("the program starts");
     let started = Instant::now();
