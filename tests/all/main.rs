@@ -2,10 +2,10 @@
 
 /// Missing, damaged and unsuitable input.
 mod bad_input;
-/// The small commands, as a shell would call them.
-mod commands;
 /// The net on a framework, when asked for.
 mod burn;
+/// The small commands, as a shell would call them.
+mod commands;
 /// What a configuration may say, and what is answered to one that is wrong.
 mod config;
 /// Subjects without scans.
