@@ -10,7 +10,7 @@ use caphy_bodymodel::procedural_motion::{MotionKind, procedural_clip};
 use caphy_core::Vec3;
 use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_garment::features::{FeatureOptions, PoseFeatures, moving_joints};
-use caphy_garment::skinning::{WeightOptions, garment_weights};
+use caphy_garment::skinning::WeightOptions;
 use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
@@ -23,17 +23,8 @@ fn inference(c: &mut Criterion) {
     let skin = rest.mesh.vertices.clone();
     let style = UpperStyle { sleeve_length: 0.4, body_length: 0.5, looseness: 0.02, neckline: 0.3 };
     let template = Tailor::new(rest).and_then(|t| t.generate(&Style::Upper(style), 0.0154)).expect("a shirt");
-    let (mesh, options) = (&template.mesh, WeightOptions::default());
-    let shirt = FittedGarment {
-        kind: template.kind,
-        style: template.style,
-        weights: garment_weights(&mesh.vertices, &mesh.faces, &skin, &body.describe().weights, &options)
-            .expect("weights"),
-        mesh: mesh.clone(),
-        material_uv: template.material_uv.clone(),
-        loops: template.loops.clone(),
-        grain: template.grain.clone(),
-    };
+    let shirt =
+        FittedGarment::new(template, &skin, &body.describe().weights, &WeightOptions::default()).expect("weights");
     let clip = procedural_clip(MotionKind::Walk, 1, 4.0, 30.0).expect("a clip");
     let transforms: Vec<_> = clip
         .poses

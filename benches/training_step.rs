@@ -15,7 +15,7 @@ use caphy_core::Vec3;
 use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_core::material::MaterialModel;
 use caphy_garment::energy::ScanCloud;
-use caphy_garment::skinning::{WeightOptions, garment_weights};
+use caphy_garment::skinning::WeightOptions;
 use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
@@ -31,17 +31,8 @@ fn training_step(c: &mut Criterion) {
     let rest_mesh = rest.mesh.clone();
     let style = UpperStyle { sleeve_length: 0.4, body_length: 0.5, looseness: 0.02, neckline: 0.3 };
     let template = Tailor::new(rest).and_then(|t| t.generate(&Style::Upper(style), 0.0154)).expect("a shirt");
-    let options = WeightOptions::default();
-    let (mesh, weights) = (&template.mesh, &body.describe().weights);
-    let shirt = FittedGarment {
-        kind: template.kind,
-        style: template.style,
-        weights: garment_weights(&mesh.vertices, &mesh.faces, &rest_mesh.vertices, weights, &options).expect("weights"),
-        mesh: mesh.clone(),
-        material_uv: template.material_uv.clone(),
-        loops: template.loops.clone(),
-        grain: template.grain.clone(),
-    };
+    let shirt = FittedGarment::new(template, &rest_mesh.vertices, &body.describe().weights, &WeightOptions::default())
+        .expect("weights");
     let reach = Reach::new(&rest_mesh, &[&shirt.mesh.vertices], 0.12).expect("a reachable body");
     let clip = procedural_clip(MotionKind::Walk, 1, 4.0, 30.0).expect("a clip");
     // A limit of 0: nothing is kept, bodies are posed in the step.

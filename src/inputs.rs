@@ -56,13 +56,24 @@ impl TableArgument {
     /// [`Error::Config`] for a path with an unset variable.
     pub fn anywhere(&self) -> Result<toml::Table> {
         let mut table = self.table.table().clone();
-        if let Some(toml::Value::String(path)) = table.get_mut("path") {
-            let resolved = self.files.resolve(Path::new(path))?;
+        make_absolute(&mut table, &self.files)?;
+        Ok(table)
+    }
+}
+
+/// Makes the paths of a table's files absolute.
+///
+/// # Errors
+/// [`Error::Config`] for a path with an unset variable.
+pub fn make_absolute(table: &mut toml::Table, files: &ProjectFiles) -> Result<()> {
+    for key in ["path", "skeleton", "mapping"] {
+        if let Some(toml::Value::String(path)) = table.get_mut(key) {
+            let resolved = files.resolve(Path::new(path.as_str()))?;
             let absolute = std::path::absolute(&resolved).map_err(|e| Error::io(&resolved, "find", e))?;
             *path = absolute.to_string_lossy().into_owned();
         }
-        Ok(table)
     }
+    Ok(())
 }
 
 /// `mannequin` or another type without keys, an `.npz` in the SMPL-X layout, or a TOML file with a body's table.

@@ -3,6 +3,7 @@
 use super::figure::Figure;
 use caphy::artifact::write_atomically;
 use caphy::config::Translation;
+use caphy::files::ProjectFiles;
 use caphy::inputs::{self, GarmentArgument, MotionArgument};
 use caphy::plugins::Plugins;
 use caphy::runner::Run;
@@ -118,23 +119,16 @@ fn experiment(arguments: &Arguments, plugins: &Plugins) -> Result<Table> {
     }
     let mut clips = Vec::new();
     for argument in &arguments.motion {
-        let clip = if Path::new(argument).is_dir() {
-            let path = std::path::absolute(argument).map_err(|e| Error::io(Path::new(argument), "find", e))?;
+        let (mut clip, files) = if Path::new(argument).is_dir() {
             let translation = Value::try_from(arguments.translation).map_err(wrong)?;
-            let path = path.to_string_lossy().into_owned();
-            table(vec![("type", "folder".into()), ("path", path.into()), ("translation", translation)])
+            let path = argument.as_str().into();
+            let clip = table(vec![("type", "folder".into()), ("path", path), ("translation", translation)]);
+            (clip, ProjectFiles::new("."))
         } else {
             let named = MotionArgument::parse(argument, arguments.seconds, arguments.translation)?;
-            let mut clip = Table::try_from(&named.clip).map_err(wrong)?;
-            for key in ["path", "skeleton", "mapping"] {
-                if let Some(Value::String(path)) = clip.get_mut(key) {
-                    let resolved = named.files.resolve(Path::new(path.as_str()))?;
-                    let absolute = std::path::absolute(&resolved).map_err(|e| Error::io(&resolved, "find", e))?;
-                    *path = absolute.to_string_lossy().into_owned();
-                }
-            }
-            clip
+            (Table::try_from(&named.clip).map_err(wrong)?, named.files)
         };
+        inputs::make_absolute(&mut clip, &files)?;
         clips.push(Value::from(clip));
     }
     out.insert("motion".into(), table(vec![("fps", arguments.fps.into()), ("clips", clips.into())]).into());

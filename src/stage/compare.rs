@@ -1,7 +1,7 @@
 //! Trained nets against the reference solver on the same garments and motion: excess energy, wrinkles, swing, penetration.
 
 use super::preprocess::Subject;
-use super::reference::{Reference, fabric, settings};
+use super::reference::{Reference, fabric};
 use super::train::Nets;
 use super::{Context, StageOutput};
 use crate::garment::FittedGarment;
@@ -251,7 +251,6 @@ impl Bench<'_> {
 /// Measures every garment.
 pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets, reference: &Reference) -> Result<Comparison> {
     let scene = Scene::new(context, subject)?;
-    settings(context)?;
     let limit = context.config.evaluate.penetration_m;
     let train = &context.config.train;
     let track = scene.track(&reference.poses)?;

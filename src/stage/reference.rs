@@ -55,7 +55,7 @@ pub(super) fn fabric(context: &Context<'_>, kind: GarmentKind, nets: Option<&Net
 }
 
 /// The table that asks for the comparison.
-pub(super) fn settings<'c>(context: &Context<'c>) -> Result<&'c CompareConfig> {
+fn settings<'c>(context: &Context<'c>) -> Result<&'c CompareConfig> {
     let missing = || Error::config("compare", "there is no such table", "add [compare] with a `clip`");
     context.config.compare.as_ref().ok_or_else(missing)
 }

@@ -7,7 +7,7 @@ use caphy_bodymodel::BodyMannequin;
 use caphy_bodymodel::procedural_motion::{MotionKind, procedural_clip};
 use caphy_core::Vec3;
 use caphy_core::body::{BodyModel, BodyParameters};
-use caphy_garment::skinning::{WeightOptions, garment_weights};
+use caphy_garment::skinning::WeightOptions;
 use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
 use std::path::Path;
 
@@ -30,16 +30,8 @@ fn threads_used_memory_and_kept_bodies_do_not_change_a_bit_and_the_clock_names_e
     let skin = rest.mesh.clone();
     let style = UpperStyle { sleeve_length: 0.3, body_length: 0.5, looseness: 0.02, neckline: 0.3 };
     let template = Tailor::new(rest).unwrap().generate(&Style::Upper(style), 0.035).unwrap();
-    let (mesh, weights, options) = (&template.mesh, &body.describe().weights, WeightOptions::default());
-    let shirt = FittedGarment {
-        kind: template.kind,
-        style: template.style,
-        weights: garment_weights(&mesh.vertices, &mesh.faces, &skin.vertices, weights, &options).unwrap(),
-        mesh: mesh.clone(),
-        material_uv: template.material_uv.clone(),
-        loops: template.loops.clone(),
-        grain: template.grain.clone(),
-    };
+    let shirt =
+        FittedGarment::new(template, &skin.vertices, &body.describe().weights, &WeightOptions::default()).unwrap();
     let reach = Reach::new(&skin, &[&shirt.mesh.vertices], 0.12).unwrap();
     let poses = procedural_clip(MotionKind::Walk, 1, 1.0, 30.0).unwrap().poses;
     let motion = |limit: usize| MotionFrames {

@@ -13,7 +13,7 @@ use caphy_core::extension::DeformationNetExt;
 use caphy_core::pose::Pose;
 use caphy_core::{TriMesh, Vec3};
 use caphy_garment::energy::ScanCloud;
-use caphy_garment::skinning::{WeightOptions, garment_weights};
+use caphy_garment::skinning::WeightOptions;
 use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -48,17 +48,8 @@ impl Shirt {
         let style = UpperStyle { sleeve_length: 0.4, body_length: 0.5, looseness: 0.02, neckline: 0.3 };
         let template = Tailor::new(rest).and_then(|t| t.generate(&Style::Upper(style), 0.05)).expect("a shirt");
         let weights = &body.describe().weights;
-        let (cloth, faces) = (&template.mesh.vertices, &template.mesh.faces);
-        let weights = garment_weights(cloth, faces, &mesh.vertices, weights, &WeightOptions::default());
-        let garment = FittedGarment {
-            kind: template.kind,
-            style: template.style,
-            weights: weights.expect("weights"),
-            mesh: template.mesh,
-            material_uv: template.material_uv,
-            loops: template.loops,
-            grain: template.grain,
-        };
+        let garment =
+            FittedGarment::new(template, &mesh.vertices, weights, &WeightOptions::default()).expect("weights");
         let reach = Reach::new(&mesh, &[&garment.mesh.vertices], 0.12).expect("a reachable body");
         let plugins = Plugins::new().expect("linked plugins");
         let table = |kind, text| PluginTable::parse(&plugins, kind, Path::new("test.toml"), text).expect("a table");

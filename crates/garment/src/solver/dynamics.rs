@@ -20,16 +20,6 @@ pub struct Dynamics {
     step: f64,
 }
 
-/// Where a solve of the next pose may start: the garment moved as its skinned self moves, x + (skinned now − skinned before) [m].
-///
-/// # Errors
-/// [`Error::Length`] for lists of different lengths.
-pub fn carried_along(x: &[Vec3], skinned_before: &[Vec3], skinned_now: &[Vec3]) -> Result<Vec<Vec3>> {
-    Error::check_length("skinned positions before", x.len(), skinned_before.len())?;
-    Error::check_length("skinned positions now", x.len(), skinned_now.len())?;
-    Ok(x.iter().zip(skinned_before).zip(skinned_now).map(|((x, before), now)| x + (now - before)).collect())
-}
-
 impl Dynamics {
     /// Starts at rest, or with a velocity [m/s].
     ///

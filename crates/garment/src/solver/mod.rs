@@ -35,7 +35,7 @@ pub mod sparse;
 mod state;
 mod vector;
 
-pub use dynamics::{Dynamics, carried_along};
+pub use dynamics::Dynamics;
 pub use ordering::Analysis;
 pub use scene::{Momentum, Obstacle, Scene, Springs};
 pub use sensitivity::Linearisation;

@@ -53,7 +53,7 @@ impl Solver {
     }
 
     /// The next pose of a sequence: [`Solver::solve`] with the contacts of the pose before, so that cloth that two limbs press between
-    /// them stays on its side. `start` [m] is the garment carried along with the body ([`super::carried_along`]).
+    /// them stays on its side. `start` [m] is the garment carried along with the body.
     ///
     /// How long the garment is relaxed before Newton's steps follows from how far from rest it starts.
     ///
