@@ -1,7 +1,7 @@
 //! `examples/plugin-net-burn`: built, checked, trained, timed.
 //!
 //! Burn takes minutes to build, so that these tests run only when they are asked for:
-//! `cargo test --test all -- --ignored burn --nocapture`.
+//! `.ci/slow`, or `cargo test --test all -- --ignored burn --nocapture`.
 
 use crate::commands::{caphy, text};
 use crate::experiment::{Experiment, TINY, edited, header, value};
@@ -41,7 +41,7 @@ fn net(table: &str, inputs: usize, outputs: usize) -> Box<dyn DeformationNet> {
 }
 
 #[test]
-#[ignore = "builds Burn: minutes"]
+#[ignore = "builds Burn for minutes: .ci/slow runs it"]
 fn the_net_keeps_its_promises() {
     let folder = tempfile::tempdir().expect("a folder");
     let output = caphy(folder.path(), &["check", library().to_str().expect("UTF-8")]);
@@ -59,7 +59,7 @@ fn the_net_keeps_its_promises() {
 
 /// Memory ends after `layers (kernel - 1)` frames: a fresh window of that length says the same as any long clip.
 #[test]
-#[ignore = "builds Burn: minutes"]
+#[ignore = "builds Burn for minutes: .ci/slow runs it"]
 fn frame_300_is_that_of_a_fresh_window() {
     let net = net("type = \"tcn\"\nlayers = 2\nhidden = 16\nkernel = 3", 6, 9);
     let manifest = net.manifest();
@@ -86,7 +86,7 @@ fn with_burn() -> String {
 }
 
 #[test]
-#[ignore = "builds Burn: minutes"]
+#[ignore = "builds Burn for minutes: .ci/slow runs it"]
 fn an_experiment_trains_the_net_and_resumes() {
     let config = with_burn();
     let whole = Experiment::new(&config);
@@ -168,7 +168,7 @@ fn times(net: &dyn DeformationNet) -> [Vec<f64>; 2] {
 
 /// Prints what the README of the example says; nothing is asserted of the times.
 #[test]
-#[ignore = "builds Burn: minutes"]
+#[ignore = "builds Burn for minutes: .ci/slow runs it"]
 fn a_step_beside_the_gru() {
     let (inputs, outputs) = (85, 3 * 4424);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
