@@ -92,6 +92,10 @@ fn threads_used_memory_and_kept_bodies_do_not_change_a_bit_and_the_clock_names_e
         assert!(changed.0 != reference.0);
         assert!(changed == train_as(config, triangles, &posed, 2, &[2, 1]));
     }
+    // What the net carries into a window counts by itself, too.
+    let weights = crate::config::TermWeights { inertia: 0.0.into(), ..Default::default() };
+    let still = |lead_in: usize| TrainConfig { lead_in, weights: weights.clone(), ..TrainConfig::default() };
+    assert!(train_as(&still(3), false, &kept, 1, &[]) != train_as(&still(0), false, &kept, 1, &[]));
     // Inertia counts in every frame that something led into: here all of them, without in two of four.
     let inertia = |energies: &TermEnergies| energies.iter().find(|e| e.0 == "inertia").map(|e| e.1);
     let led = train_as(&watching, false, &kept, 1, &[]);
