@@ -1,5 +1,7 @@
 //! Clips named in a configuration.
 
+pub mod variation;
+
 use crate::config::{ClipConfig, MotionConfig, Translation, cmu_fps};
 use crate::files::ProjectFiles;
 use caphy_bodymodel::procedural_motion::procedural_clip;
@@ -23,30 +25,43 @@ pub fn load(
     fps: f64,
     pelvis: &Vec3,
 ) -> Result<PreparedClip> {
-    let smoothing = match clip {
-        ClipConfig::Tracked { smoothing_s, .. } => *smoothing_s,
-        _ => 0.0,
-    };
-    let preparation = ClipPreparation { smoothing, fps, limits: limits.cloned() };
+    let preparation = ClipPreparation { smoothing: smoothing_of(clip), fps, limits: limits.cloned() };
     preparation.prepare(&read(files, clip, fps, pelvis)?)
 }
 
-/// All training clips in the order of the configuration, those of a folder by name.
+/// All training clips in the order of the configuration, those of a folder by name, each followed by its variations.
 ///
 /// # Errors
 /// As [`load`]; a folder without clips.
-pub fn load_all(files: &ProjectFiles, motion: &MotionConfig, pelvis: &Vec3) -> Result<Vec<PreparedClip>> {
-    let mut out = Vec::new();
+pub fn load_all(files: &ProjectFiles, motion: &MotionConfig, pelvis: &Vec3, seed: u64) -> Result<Vec<PreparedClip>> {
+    let (mut recorded, mut smoothings) = (Vec::new(), Vec::new());
     for clip in &motion.clips {
         for (name, clip) in expand(files, clip)? {
-            let mut prepared = load(files, &clip, Some(&motion.limits), motion.fps, pelvis)?;
+            let mut read = read(files, &clip, motion.fps, pelvis)?;
             if let Some(name) = name {
-                prepared.rename(name);
+                read.name = name;
             }
-            out.push(prepared);
+            recorded.push(read);
+            smoothings.push(smoothing_of(&clip));
+        }
+    }
+    let mut out = Vec::new();
+    for (i, (clip, smoothing)) in recorded.iter().zip(smoothings).enumerate() {
+        let preparation = ClipPreparation { smoothing, fps: motion.fps, limits: Some(motion.limits.clone()) };
+        out.push(preparation.prepare(clip)?);
+        for copy in 0..motion.variation.copies {
+            out.push(preparation.prepare(&motion.variation.vary(&recorded, i, copy, seed)?)?);
         }
     }
     Ok(out)
+}
+
+/// Standard deviation of the smoothing that a clip asks for [s].
+fn smoothing_of(clip: &ClipConfig) -> f64 {
+    match clip {
+        ClipConfig::Tracked { smoothing_s, .. } => *smoothing_s,
+        _ => 0.0,
+    }
 }
 
 /// A clip as itself, a folder as its clips with their files' names: `35_01.amc` and `35_01.npz` are two clips.
@@ -158,20 +173,20 @@ mod tests {
         }
         let files = ProjectFiles::new(folder.path());
         let motion = config("clips = [{ type = \"folder\", path = \"clips\", mapping = \"hips.toml\" }]");
-        let clips = load_all(&files, &motion, &Vec3::zeros()).unwrap();
+        let clips = load_all(&files, &motion, &Vec3::zeros(), 1).unwrap();
         let names: Vec<_> = clips.iter().map(|c| c.clip.name.as_str()).collect();
         assert_eq!(names, ["a.bvh", "b.bvh", "c.bvh"]);
         assert_eq!((clips[0].clip.poses.len(), clips[0].source_frames), (4, 2));
         let one = config(
             "clips = [{ type = \"bvh\", path = \"clips/a.bvh\", mapping = \"hips.toml\", metres_per_unit = 0.01 }]",
         );
-        let clip = &load_all(&files, &one, &Vec3::zeros()).unwrap()[0].clip;
+        let clip = &load_all(&files, &one, &Vec3::zeros(), 1).unwrap()[0].clip;
         assert!((clip.poses[3].translation - Vec3::new(0.0, 0.01, 0.005)).norm() < 1e-12);
         // Without its mapping the hips are the CMU skeleton's, whose other joints are missing.
         let wrong = config("clips = [{ type = \"folder\", path = \"clips\" }]");
-        assert!(load_all(&files, &wrong, &Vec3::zeros()).unwrap_err().to_string().contains("a.bvh"));
+        assert!(load_all(&files, &wrong, &Vec3::zeros(), 1).unwrap_err().to_string().contains("a.bvh"));
         let empty = config("clips = [{ type = \"folder\", path = \".\" }]");
-        assert!(load_all(&files, &empty, &Vec3::zeros()).unwrap_err().to_string().contains("no .npz"));
+        assert!(load_all(&files, &empty, &Vec3::zeros(), 1).unwrap_err().to_string().contains("no .npz"));
         assert!(load(&files, &wrong.clips[0], None, 30.0, &Vec3::zeros()).is_err());
     }
 }

@@ -8,7 +8,7 @@ use crate::stage::preprocess::Subject;
 use crate::track::{BodyTrack, Reach};
 use crate::trainer::{MotionFrames, ScanFrames};
 use caphy_core::body::{BodyModel, BodyParameters};
-use caphy_core::motion::MotionWindows;
+use caphy_core::motion::{MotionWindows, PreparedClip};
 use caphy_core::pose::Pose;
 use caphy_core::query::NearestGrid;
 use caphy_core::scan::Label;
@@ -74,7 +74,7 @@ impl Scene {
     }
     /// The configured motion, with its clips' names and first frames.
     pub fn named_motion(&self, context: &Context<'_>) -> Result<(MotionFrames, Vec<(String, usize)>)> {
-        let clips = motion::load_all(context.files, &context.config.motion, &self.rest_joints[0])?;
+        let clips = self.clips(context)?;
         let windows = MotionWindows::new(&clips, context.config.train.window)?;
         if windows.report.dropped_windows > 0 {
             context.progress.note(&windows.report.to_string());
@@ -92,9 +92,14 @@ impl Scene {
         let names = clips.iter().map(|prepared| prepared.clip.name.clone()).zip(first).collect();
         Ok((MotionFrames { track, starts, has_before, fps: context.config.motion.fps }, names))
     }
+    /// The configured clips with their variations.
+    fn clips(&self, context: &Context<'_>) -> Result<Vec<PreparedClip>> {
+        let config = context.config;
+        motion::load_all(context.files, &config.motion, &self.rest_joints[0], config.run.seed)
+    }
     /// How much motion there is to train on, without posing a body.
     pub fn windows(&self, context: &Context<'_>) -> Result<PlannedMotion> {
-        let clips = motion::load_all(context.files, &context.config.motion, &self.rest_joints[0])?;
+        let clips = self.clips(context)?;
         let windows = MotionWindows::new(&clips, context.config.train.window)?;
         Ok(PlannedMotion { frames: clips.iter().map(|c| c.clip.poses.len()).sum(), windows: windows.starts.len() })
     }

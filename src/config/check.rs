@@ -116,6 +116,7 @@ impl Config {
             count("compare.rest_every", compare.rest_every, 1, usize::MAX)?;
             positive("compare.solver.tolerance_n", compare.solver.tolerance_n)?;
         }
+        self.motion.variation.check()?;
         self.motion.limits.check().map_err(|e| match e {
             Error::Config { key, problem, remedy } => Error::config(format!("motion.limits.{key}"), problem, remedy),
             other => other,

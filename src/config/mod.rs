@@ -11,6 +11,7 @@ mod weights;
 pub use weights::{Ramp, Schedule, TermWeights};
 
 use crate::files::ProjectFiles;
+use crate::motion::variation::MotionVariation;
 use crate::plugins::{Kind, PluginTable, Plugins};
 use caphy_bodymodel::registration::RegistrationSettings;
 use caphy_core::motion::MotionLimits;
@@ -223,6 +224,9 @@ pub struct MotionConfig {
     /// What counts as damage: windows that it touches are not drawn. Infinite limits let everything pass.
     #[serde(default)]
     pub limits: MotionLimits,
+    /// Copies of the clips that differ from them, for training.
+    #[serde(default)]
+    pub variation: MotionVariation,
     /// The clips.
     pub clips: Vec<ClipConfig>,
 }
