@@ -427,26 +427,36 @@ impl<'a> GarmentLearner<'a> {
         for (row, &f) in inputs.chunks_exact_mut(manifest.inputs.max(1)).zip(&frames) {
             row.copy_from_slice(&self.motion_features[f]);
         }
-        let mut output = self.pool.zeros(frames.len() * manifest.outputs);
+        // Only the last two frames are posed: before them the net is asked for what it carries, if it carries anything.
+        let (early, late) = (steps.saturating_sub(2), steps.min(2));
+        let mut output = self.pool.zeros(late * windows * manifest.outputs);
         let mut state = vec![0.0f32; windows * manifest.state];
-        self.clock.time("net lead-in", || {
+        let mut carried = vec![0.0f32; if early > 0 { state.len() } else { 0 }];
+        let (first, last) = inputs.split_at(early * windows * manifest.inputs);
+        let run = |steps, features: &[f32], before: &[f32], output: Option<&mut [f32]>, after: &mut [f32]| {
             let mut block = ForwardBlock {
                 steps,
                 batch: windows,
                 parameters: (&self.parameters[..]).into(),
-                features: (&inputs[..]).into(),
-                state_before: In::absent(),
-                output: (&mut output[..]).into(),
-                state_after: if manifest.state > 0 { (&mut state[..]).into() } else { Out::absent() },
+                features: features.into(),
+                state_before: if before.is_empty() { In::absent() } else { before.into() },
+                output: output.map_or_else(Out::absent, Out::from),
+                state_after: if after.is_empty() { Out::absent() } else { after.into() },
                 tape: Out::absent(),
             };
             self.net.forward(ForwardCall::F32(&mut block))
+        };
+        self.clock.time("net lead-in", || {
+            if !carried.is_empty() {
+                run(early, first, &[], None, &mut carried)?;
+            }
+            run(late, last, &carried, Some(&mut output), &mut state)
         })?;
-        let last = (steps - 2) * windows;
+        let last = early * windows;
         let mut past = self.pool.frames(2, self.skinner.vertex_count(), windows);
         self.clock.time("skinning", || {
             let joints = self.skinner.joint_frames(&self.motion.track.transforms(&frames[last..]), windows)?;
-            self.skinner.forward_scaled(&joints, Some(&output[last * manifest.outputs..]), self.output_scale, &mut past)
+            self.skinner.forward_scaled(&joints, Some(&output), self.output_scale, &mut past)
         })?;
         Ok(Some(LeadIn { state, past }))
     }

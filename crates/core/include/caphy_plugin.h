@@ -82,7 +82,7 @@ typedef struct {
     caphy_in_f32 parameters; /* Flat parameters. */
     caphy_in_f32 features; /* Pose features, [step][window][input]. */
     caphy_in_f32 state_before; /* Carried state, [window][state]; absent means zeros. */
-    caphy_out_f32 output; /* Canonical displacements [m], [step][window][output]. */
+    caphy_out_f32 output; /* Canonical displacements [m], [step][window][output]; absent where only the state is wanted. */
     caphy_out_f32 state_after; /* Carried state after the last step, [window][state]. */
     caphy_out_f32 tape; /* What the backward pass needs, of tape_len values; absent in inference. */
 } caphy_forward_f32;
@@ -146,7 +146,7 @@ typedef struct {
     caphy_in_f64 parameters; /* Flat parameters. */
     caphy_in_f64 features; /* Pose features, [step][window][input]. */
     caphy_in_f64 state_before; /* Carried state, [window][state]; absent means zeros. */
-    caphy_out_f64 output; /* Canonical displacements [m], [step][window][output]. */
+    caphy_out_f64 output; /* Canonical displacements [m], [step][window][output]; absent where only the state is wanted. */
     caphy_out_f64 state_after; /* Carried state after the last step, [window][state]. */
     caphy_out_f64 tape; /* What the backward pass needs, of tape_len values; absent in inference. */
 } caphy_forward_f64;

@@ -78,7 +78,7 @@ pub struct ForwardBlock<'a, T> {
     pub features: In<'a, T>,
     /// Carried state before the first step, `[window][state]`; absent means zeros.
     pub state_before: In<'a, T>,
-    /// Canonical displacements dV [m], `[step][window][output]`.
+    /// Canonical displacements dV [m], `[step][window][output]`; absent where only the state is wanted.
     pub output: Out<'a, T>,
     /// Carried state after the last step, `[window][state]`.
     pub state_after: Out<'a, T>,
@@ -120,7 +120,9 @@ impl<T: Real> ForwardBlock<'_, T> {
         if let Some(s) = self.state_before.get() {
             Error::check_length("net state before", state, s.len())?;
         }
-        Error::check_length("net output", frames * manifest.outputs, self.output.len())?;
+        if self.output.wanted() {
+            Error::check_length("net output", frames * manifest.outputs, self.output.len())?;
+        }
         if self.state_after.wanted() {
             Error::check_length("net state after", state, self.state_after.len())?;
         }

@@ -135,6 +135,7 @@ macro_rules! conformance_list {
             training_starts_at_the_template(model) "with its first values, a net displaces nothing";
             a_window_equals_its_parts(model) "a whole window equals its parts with the state carried";
             no_state_means_zeros(model) "absent state is zeros";
+            a_state_needs_no_output(model) "the state is the same where no output is asked for";
             batches_are_independent(model) "a window's answer does not depend on the others of its batch";
             backward_is_the_gradient(model) "gradients agree with differences";
             gradients_reach_every_parameter(model) "every parameter has a gradient";

@@ -242,6 +242,29 @@ pub fn no_state_means_zeros(net: &dyn DeformationNet) -> Outcome {
     Ok(Verdict::Passed)
 }
 
+/// [`CHECKS`]: absent output.
+pub fn a_state_needs_no_output(net: &dyn DeformationNet) -> Outcome {
+    if net.manifest().state == 0 {
+        return Ok(Verdict::NotOffered);
+    }
+    let case = Case::<f32>::new(net, 3, 2)?;
+    let wanted = case.forward(net)?.1;
+    let mut after = vec![f32::NAN; wanted.len()];
+    let mut block = ForwardBlock {
+        steps: 3,
+        batch: 2,
+        parameters: (&case.parameters[..]).into(),
+        features: (&case.features[..]).into(),
+        state_before: case.before(),
+        output: Out::absent(),
+        state_after: after.as_mut_slice().into(),
+        tape: Out::absent(),
+    };
+    f32::forward(net, &mut block).map_err(unexpected("a forward pass without an output"))?;
+    ensure(after == wanted, || "the state is another one where no output is asked for".into())?;
+    Ok(Verdict::Passed)
+}
+
 /// [`CHECKS`]: windows of a batch by themselves, within rounding.
 pub fn batches_are_independent(net: &dyn DeformationNet) -> Outcome {
     let (steps, batch, outputs) = (2, 4, net.manifest().outputs);

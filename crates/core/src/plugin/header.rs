@@ -75,7 +75,7 @@ macro_rules! blocks {
                 parameters: "IN parameters", "Flat parameters.";
                 features: "IN features", "Pose features, [step][window][input].";
                 state_before: "IN state_before", "Carried state, [window][state]; absent means zeros.";
-                output: "OUT output", "Canonical displacements [m], [step][window][output].";
+                output: "OUT output", "Canonical displacements [m], [step][window][output]; absent where only the state is wanted.";
                 state_after: "OUT state_after", "Carried state after the last step, [window][state].";
                 tape: "OUT tape", "What the backward pass needs, of tape_len values; absent in inference.";
             }),

@@ -19,6 +19,7 @@ enum Fault {
     HeadNotZero,
     StateForgotten,
     AbsentStateIsOnes,
+    StateOnlyWithOutput,
     BatchMatters,
     GradientHalved,
     FeatureGradientHalved,
@@ -98,7 +99,8 @@ impl Recurrence {
         if let Some(out) = block.tape.get() {
             out.copy_from_slice(&tape);
         }
-        if let Some(out) = block.state_after.get() {
+        let kept = self.is(Fault::StateOnlyWithOutput) && !block.output.wanted();
+        if let Some(out) = block.state_after.get().filter(|_| !kept) {
             out.copy_from_slice(&state);
         }
         Ok(())
@@ -231,6 +233,7 @@ fn faults() -> Vec<(Fault, Vec<&'static str>)> {
         (Fault::HeadNotZero, vec!["training_starts_at_the_template"]),
         (Fault::StateForgotten, vec!["a_window_equals_its_parts"]),
         (Fault::AbsentStateIsOnes, vec!["no_state_means_zeros"]),
+        (Fault::StateOnlyWithOutput, vec!["a_state_needs_no_output"]),
         (Fault::BatchMatters, vec!["batches_are_independent"]),
         (Fault::GradientHalved, vec!["backward_is_the_gradient"]),
         (Fault::FeatureGradientHalved, vec!["backward_is_the_gradient"]),
