@@ -41,6 +41,9 @@ pub(crate) struct Arguments {
     /// Frame rate [1/s].
     #[arg(long, default_value_t = 30.0)]
     fps: f64,
+    /// Copies of every clip that differ from it, see `[motion.variation]`: with a few clips alone, nets learn them by heart.
+    #[arg(long, default_value_t = 10)]
+    copies: usize,
     /// The net: a type, or a TOML file that holds an experiment's [net] table.
     #[arg(long, default_value = "gru")]
     net: String,
@@ -131,6 +134,8 @@ fn experiment(arguments: &Arguments, plugins: &Plugins) -> Result<Table> {
         inputs::make_absolute(&mut clip, &files)?;
         clips.push(Value::from(clip));
     }
-    out.insert("motion".into(), table(vec![("fps", arguments.fps.into()), ("clips", clips.into())]).into());
+    let variation = table(vec![("copies", Value::Integer(arguments.copies as i64))]);
+    let motion = vec![("fps", arguments.fps.into()), ("variation", variation.into()), ("clips", clips.into())];
+    out.insert("motion".into(), table(motion).into());
     Ok(out)
 }
