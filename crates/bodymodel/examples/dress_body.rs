@@ -118,7 +118,13 @@ impl Garment {
         Ok(Self { mesh, carriers })
     }
     /// Carried by displacements of the body at rest, then posed, then out of the skin.
-    fn worn(&self, shift: &[Vec3], transforms: &[Matrix3x4<f64>], skin: &TriMesh, gap: f64) -> Result<TriMesh, Box<dyn Error>> {
+    fn worn(
+        &self,
+        shift: &[Vec3],
+        transforms: &[Matrix3x4<f64>],
+        skin: &TriMesh,
+        gap: f64,
+    ) -> Result<TriMesh, Box<dyn Error>> {
         let mut mesh = self.mesh.clone();
         for (p, carriers) in mesh.vertices.iter_mut().zip(&self.carriers) {
             let shift: Vec3 = carriers.iter().map(|&(b, w)| shift[b as usize] * w).sum();
@@ -187,7 +193,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         for (rotation, joint) in pose.rotations.iter_mut().zip(joints) {
             // Nobody stands exactly.
-            if !["index", "middle", "pinky", "ring", "thumb", "jaw", "eye", "foot"].iter().any(|k| joint.name.contains(k)) {
+            if !["index", "middle", "pinky", "ring", "thumb", "jaw", "eye", "foot"]
+                .iter()
+                .any(|k| joint.name.contains(k))
+            {
                 *rotation += Vec3::from_fn(|_, _| 0.04 * normal());
             }
         }

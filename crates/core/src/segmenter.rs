@@ -44,6 +44,8 @@ pub struct View<'a> {
     pub scan: &'a Scan,
     /// Number of the view, from 0.
     pub index: usize,
+    /// Number of views of this scan.
+    pub count: usize,
     /// The camera.
     pub camera: &'a Camera,
     /// sRGB, shape [height · width].

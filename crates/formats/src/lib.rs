@@ -1,4 +1,4 @@
-//! File formats of caphy: NPZ, PLY, OBJ and motion in; PLY, OBJ (also as a sequence), PC2, USD, GLB,
+//! File formats of caphy: NPZ, PLY, OBJ with textures, images and motion in; PLY, OBJ (also as a sequence), PC2, USD, GLB,
 //! safetensors and TensorBoard events out.
 //!
 //! Nothing here touches the disk. A reader takes the file's bytes and its path, the path only for messages; a writer
@@ -11,12 +11,14 @@ mod polygon;
 
 pub mod colour;
 pub mod glb;
+pub mod image;
 pub mod motion;
 pub mod moving;
 pub mod npz;
 pub mod obj;
 pub mod pc2;
 pub mod ply;
+pub mod scan;
 pub mod tensorboard;
 pub mod usd;
 pub mod weights;

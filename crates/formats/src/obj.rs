@@ -21,6 +21,10 @@ pub struct ObjMesh {
     pub normals: Option<ObjNormals>,
     /// Groups and objects that have faces, in the file's order.
     pub groups: Vec<ObjGroup>,
+    /// Materials of `usemtl` and the faces that have them, in the file's order.
+    pub materials: Vec<ObjGroup>,
+    /// What `mtllib` names: files that define the materials.
+    pub material_files: Vec<String>,
 }
 
 /// Texture coordinates per corner, so that seams stay seams.
@@ -41,7 +45,7 @@ pub struct ObjNormals {
     pub faces: Vec<[u32; 3]>,
 }
 
-/// Faces that follow one `g` or `o` statement, up to the next.
+/// Faces that follow one `g`, `o` or `usemtl` statement, up to the next.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ObjGroup {
     /// What the statement says: often one name, or several parted by blanks; the same name may come again.
@@ -54,7 +58,7 @@ pub struct ObjGroup {
 ///
 /// Vertex colours are sRGB floats in [0, 1], or in [0, 255] when a channel of the file exceeds 2. Polygons become
 /// triangles: a fan, or for a concave polygon of at most 128 corners, ears; triangles that name a vertex twice have no
-/// area and are left out. Faces may stand before the vertices that they name by positive index. Materials, smoothing,
+/// area and are left out. Faces may stand before the vertices that they name by positive index. Smoothing,
 /// points, lines and display attributes are skipped.
 ///
 /// # Errors

@@ -1,5 +1,6 @@
 //! `type = "colour"`: garments known by their colours.
 
+use crate::seeds::{self, Seed};
 use crate::view;
 use caphy_core::files::Files;
 use caphy_core::scan::Label;
@@ -31,8 +32,12 @@ pub struct PaletteEntry {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SegmenterColourSpec {
-    /// Colours and what they mean; a label may have several.
+    /// Colours and what they mean; a label may have several. None by default: `seeds` say them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub palette: Vec<PaletteEntry>,
+    /// Places on scans whose colours join the palette.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub seeds: Vec<Seed>,
     /// Largest distance in CIELAB (ΔE*ab, 2.3 is just noticeable) to the nearest palette colour; none by default: the
     /// nearest decides however far it is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -53,8 +58,10 @@ fn unknown() -> Label {
 
 #[typetag::serde(name = "colour")]
 impl SegmenterSpec for SegmenterColourSpec {
-    fn build(&self, _files: &dyn Files) -> Result<Box<dyn Segmenter>> {
-        Ok(Box::new(SegmenterColour::new(self)?))
+    fn build(&self, files: &dyn Files) -> Result<Box<dyn Segmenter>> {
+        let mut palette = self.palette.clone();
+        palette.extend(seeds::colours_of(&self.seeds, files)?);
+        Ok(Box::new(SegmenterColour::new(&Self { palette, seeds: Vec::new(), ..self.clone() })?))
     }
 }
 
@@ -75,13 +82,14 @@ pub struct SegmenterColour {
 }
 
 impl SegmenterColour {
-    /// Checks the values.
+    /// Checks the values; `seeds` are already in the palette.
     ///
     /// # Errors
     /// [`Error::Config`] for an empty palette, one colour with two meanings, a distance that is not positive.
     pub fn new(spec: &SegmenterColourSpec) -> Result<Self> {
         if spec.palette.is_empty() {
-            let remedy = "add [[segmenter.palette]] entries with `label` and `colour = [r, g, b]`";
+            let remedy =
+                "add [[segmenter.palette]] entries with `label` and `colour = [r, g, b]`, or [[segmenter.seeds]]";
             return Err(Error::config("segmenter.palette", "has no colours", remedy));
         }
         for (i, entry) in spec.palette.iter().enumerate() {
@@ -212,7 +220,7 @@ mod tests {
     fn spec() -> SegmenterColourSpec {
         let entry = |label, colour| PaletteEntry { label, colour };
         let palette = vec![entry(Label::Upper, [57, 80, 161]), entry(Label::Lower, [60, 60, 64])];
-        SegmenterColourSpec { palette, max_distance: None, far: Label::Ignore, outline: 0 }
+        SegmenterColourSpec { palette, seeds: vec![], max_distance: None, far: Label::Ignore, outline: 0 }
     }
 
     #[test]
@@ -257,6 +265,7 @@ mod tests {
             let view = View {
                 scan,
                 index: 0,
+                count: 1,
                 camera: &camera,
                 colour: &image.colour,
                 depth: &image.depth,

@@ -185,7 +185,8 @@ fn ballot(
     camera: &Camera,
 ) -> Result<Vec<Label>> {
     let image = render(&scan.mesh, scan.colours.as_deref(), camera);
-    let view = View { scan, index, camera, colour: &image.colour, depth: &image.depth, triangle: &image.triangle };
+    let (colour, depth, triangle) = (&image.colour, &image.depth, &image.triangle);
+    let view = View { scan, index, count: settings.views, camera, colour, depth, triangle };
     let mut pixels = vec![Label::Ignore; camera.width * camera.height];
     segmenter.segment(&view, &mut pixels)?;
     let sight: Vec3 = camera.world_to_camera.fixed_view::<1, 3>(2, 0).transpose();

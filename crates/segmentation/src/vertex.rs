@@ -90,6 +90,7 @@ mod tests {
         let view = View {
             scan,
             index: 0,
+            count: 1,
             camera: &camera,
             colour: &image.colour,
             depth: &image.depth,

@@ -57,7 +57,14 @@ fn dressed() -> Scan {
 fn colour() -> SegmenterColour {
     let entry = |label, colour| PaletteEntry { label, colour };
     let palette = vec![entry(Label::Body, SKIN), entry(Label::Upper, SHIRT), entry(Label::Lower, SKIRT)];
-    SegmenterColour::new(&SegmenterColourSpec { palette, max_distance: None, far: Label::Ignore, outline: 0 }).unwrap()
+    SegmenterColour::new(&SegmenterColourSpec {
+        palette,
+        seeds: vec![],
+        max_distance: None,
+        far: Label::Ignore,
+        outline: 0,
+    })
+    .unwrap()
 }
 
 /// Share of the vertices where two labellings agree.

@@ -51,7 +51,7 @@ fn stand_in_scans_get_their_labels_back() {
     // The palette is taken from the first scan alone.
     let palette = palette(&scans[0]);
     println!("palette: {palette:?}");
-    let spec = SegmenterColourSpec { palette, max_distance: None, far: Label::Ignore, outline: 0 };
+    let spec = SegmenterColourSpec { palette, seeds: vec![], max_distance: None, far: Label::Ignore, outline: 0 };
     let colour = SegmenterColour::new(&spec).unwrap();
     for scan in &scans {
         let truth = scan.labels.as_ref().unwrap();

@@ -116,6 +116,7 @@ impl Scene {
         View {
             scan: &self.scan,
             index: 0,
+            count: 1,
             camera: &self.camera,
             colour: &self.colour,
             depth: &self.depth,

@@ -12,16 +12,14 @@ use std::path::Path;
 const REFUSED: [&[u8]; 11] =
     [b"curv", b"curv2", b"surf", b"cstype", b"bmat", b"parm", b"bsp", b"bzp", b"cdc", b"cdp", b"call"];
 
-/// Statements that a surface does not need: other elements, materials, smoothing, display attributes, and parts of
+/// Statements that a surface does not need: other elements, smoothing, display attributes, and parts of
 /// free-form geometry that mean nothing without the statements above.
-const SKIPPED: [&[u8]; 27] = [
+const SKIPPED: [&[u8]; 25] = [
     b"vp",
     b"p",
     b"l",
     b"s",
     b"mg",
-    b"usemtl",
-    b"mtllib",
     b"usemap",
     b"maplib",
     b"bevel",
@@ -63,6 +61,8 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<ObjMesh> {
         normal_corners: Corners::default(),
         largest: [(0, 0); 3],
         groups: Vec::new(),
+        materials: Vec::new(),
+        libraries: Vec::new(),
     };
     while reader.at < bytes.len() {
         reader.statement()?;
@@ -97,6 +97,10 @@ struct Reader<'a> {
     largest: [(u64, usize); 3],
     /// Names with the number of the first polygon.
     groups: Vec<(String, usize)>,
+    /// Materials in use with the number of the first polygon.
+    materials: Vec<(String, usize)>,
+    /// Files that define materials.
+    libraries: Vec<String>,
 }
 
 fn is_blank(byte: u8) -> bool {
@@ -219,7 +223,18 @@ impl<'a> Reader<'a> {
                 b"vt" => self.uv(start)?,
                 b"vn" => self.normal(start)?,
                 b"f" | b"fo" => self.face(start)?,
-                b"g" | b"o" => self.group(),
+                b"g" | b"o" => {
+                    let name = self.words();
+                    begin(&mut self.groups, name, self.polygons.ends.len());
+                }
+                b"usemtl" => {
+                    let name = self.words();
+                    begin(&mut self.materials, name, self.polygons.ends.len());
+                }
+                b"mtllib" => {
+                    let name = self.words();
+                    self.libraries.push(name);
+                }
                 word if REFUSED.contains(&word) => {
                     let word = String::from_utf8_lossy(word);
                     let (problem, remedy) = if word == "call" {
@@ -338,7 +353,8 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    fn group(&mut self) {
+    /// The rest of the statement, words parted by one blank.
+    fn words(&mut self) -> String {
         let mut name = String::new();
         while self.word_follows() {
             if !name.is_empty() {
@@ -346,12 +362,7 @@ impl<'a> Reader<'a> {
             }
             name += &String::from_utf8_lossy(self.word());
         }
-        let first = self.polygons.ends.len();
-        // A group without faces is only a name.
-        if self.groups.last().is_some_and(|&(_, start)| start == first) {
-            self.groups.pop();
-        }
-        self.groups.push((name, first));
+        name
     }
 
     #[inline]
@@ -442,11 +453,12 @@ impl<'a> Reader<'a> {
         let mut faces = Vec::with_capacity(self.polygons.ends.len());
         let mut uv_faces = Vec::with_capacity(if has_uvs { faces.capacity() } else { 0 });
         let mut normal_faces = Vec::with_capacity(if has_normals { faces.capacity() } else { 0 });
-        let mut groups: Vec<ObjGroup> = Vec::with_capacity(self.groups.len());
-        let mut names = self.groups.into_iter().peekable();
+        let mut ranges = [self.groups, self.materials].map(|named| (named.into_iter().peekable(), Vec::new()));
         self.polygons.triangles(&self.vertices, |number, t| {
-            while let Some((name, _)) = names.next_if(|&(_, first)| first <= number) {
-                groups.push(ObjGroup { name, faces: faces.len()..faces.len() });
+            for (names, ranges) in &mut ranges {
+                while let Some((name, _)) = names.next_if(|&(_, first)| first <= number) {
+                    ranges.push(ObjGroup { name, faces: faces.len()..faces.len() });
+                }
             }
             faces.push(t.map(|k| self.polygons.corners[k]));
             if has_uvs {
@@ -455,11 +467,16 @@ impl<'a> Reader<'a> {
             if has_normals {
                 normal_faces.push(t.map(|k| self.normal_corners.ids[k]));
             }
-            if let Some(group) = groups.last_mut() {
-                group.faces.end = faces.len();
+            for (_, ranges) in &mut ranges {
+                if let Some(range) = ranges.last_mut() {
+                    range.faces.end = faces.len();
+                }
             }
         });
-        groups.retain(|g| !g.faces.is_empty());
+        let [groups, materials] = ranges.map(|(_, mut ranges)| {
+            ranges.retain(|g: &ObjGroup| !g.faces.is_empty());
+            ranges
+        });
         let name = self.path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         let coloured = !self.vertices.is_empty() && self.colours.len() == self.vertices.len();
         let colours = coloured.then(|| colour::to_bytes(&self.colours));
@@ -468,8 +485,18 @@ impl<'a> Reader<'a> {
             uvs: has_uvs.then_some(ObjUvs { coords: self.uvs, faces: uv_faces }),
             normals: has_normals.then_some(ObjNormals { vectors: self.normals, faces: normal_faces }),
             groups,
+            materials,
+            material_files: self.libraries,
         })
     }
+}
+
+/// Notes a name from a polygon on; one without polygons is only a name.
+fn begin(named: &mut Vec<(String, usize)>, name: String, first: usize) {
+    if named.last().is_some_and(|&(_, start)| start == first) {
+        named.pop();
+    }
+    named.push((name, first));
 }
 
 /// What an index of each kind counts.
