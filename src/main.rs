@@ -30,6 +30,9 @@ enum Command {
     /// Show what caphy has or reads, as tables and pictures.
     #[command(subcommand)]
     Show(command::show::What),
+    /// Write the views of an experiment's scans as pictures, for a human parser to label.
+    #[command(after_help = command::views::EXAMPLES)]
+    Views(command::views::Arguments),
     /// Train garments of a dressed body by physics on motion, without scans.
     #[command(after_help = command::train::EXAMPLES)]
     Train(command::train::Arguments),
@@ -71,6 +74,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
     match &cli.command {
         Command::Run(arguments) => command::run::run(arguments, &mut plugins),
         Command::Show(what) => command::show::run(what, &plugins),
+        Command::Views(arguments) => command::views::run(arguments, &mut plugins),
         Command::Train(arguments) => command::train::run(arguments, &mut plugins),
         Command::Animate(arguments) => command::animate::run(arguments, &plugins),
         Command::Simulate(arguments) => command::simulate::run(arguments, &plugins),

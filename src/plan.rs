@@ -5,6 +5,7 @@ use crate::config::{Config, Schedule, SubjectConfig};
 use crate::scene::Scene;
 use crate::stage::alternation_names;
 use crate::stage::preprocess::Subject;
+use crate::stage::scans::PlannedScan;
 use crate::trainer::pose_features;
 use caphy_core::{Error, Result};
 use serde::Serialize;
@@ -32,6 +33,8 @@ pub struct ScenePlan {
     pub garments: Vec<PlannedGarment>,
     /// Frames of training motion and windows that may be drawn; once the subject is there.
     pub motion: Option<PlannedMotion>,
+    /// The scans of a folder, as a look at each file shows them.
+    pub scans: Vec<PlannedScan>,
 }
 
 /// The part of the body and of the net that a garment needs.
@@ -116,7 +119,7 @@ impl ScenePlan {
         }
         let shown: Vec<&'static str> = stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect();
         stages.push(PlannedStage { name: "report", needs: shown, off: None, done: false });
-        Self { stages, garments: Vec::new(), motion: None }
+        Self { stages, garments: Vec::new(), motion: None, scans: Vec::new() }
     }
 
     /// Narrows the plan to one stage and what it needs.
@@ -193,6 +196,13 @@ impl ScenePlan {
                 (None, false) => "to run".into(),
             };
             let _ = writeln!(out, "  {:18} {state}", stage.name);
+        }
+        for scan in &self.scans {
+            let role = if scan.held_out { " (held out)" } else { "" };
+            let _ = writeln!(out, "Scan {}{role}: {}", scan.name, scan.facts);
+            for problem in &scan.problems {
+                let _ = writeln!(out, "  ! {problem}");
+            }
         }
         if self.garments.is_empty() {
             out.push_str("Garments: known once the subject is there.\n");

@@ -198,8 +198,15 @@ impl Run {
                 self.preprocess(&part(&[&PREPROCESSING, &templates[..]].concat()), &scans)?
             }
             SubjectConfig::Scans(folder) => {
-                scans = stage::scan_list(&self.files, folder)?;
-                self.preprocess(&part(&[&PREPROCESSING, &templates[..]].concat()), &scans)?
+                scans = stage::scans::scan_list(&self.files, folder)?;
+                if dry {
+                    let segmenter =
+                        self.config.segmenter.as_ref().and_then(|s| s.table()["type"].as_str()).unwrap_or_default();
+                    self.plan.scans = stage::scans::inspect(&self.files, folder, segmenter, &scans);
+                }
+                // The folder's name and roles of scans are in the hash of the scans.
+                let frame = ["subject.units", "subject.up", "subject.starts"];
+                self.preprocess(&part(&[&PREPROCESSING[..], &frame, &templates].concat()), &scans)?
             }
         };
         if dry {
@@ -293,14 +300,14 @@ impl Run {
             timings: &timings,
         };
         // The list of exported files says nothing of what is in them, so that the report looks at the film, too.
-        let scan_hash = stage::hash_scans(&scans)?;
+        let scan_hash = stage::scans::hash_scans(&self.files, &scans)?;
         let upstream = format!("{subject_hash}{hash}{scores_hash}{compared_hash}{film_hash}{export_hash}{scan_hash}");
         self.stage("report", &part(&["run", "upper", "lower"]), &upstream, |cx| stage::report::run(cx, &inputs))?;
         Ok(tables)
     }
 
     fn preprocess(&mut self, key: &[serde_json::Value], scans: &Scans) -> std::result::Result<(Subject, String), Halt> {
-        let hash = stage::hash_scans(scans)?;
+        let hash = stage::scans::hash_scans(&self.files, scans)?;
         self.stage("preprocess", key, &hash, |cx| stage::preprocess::run(cx, scans))
     }
 
@@ -322,41 +329,6 @@ impl Run {
         Context { config, files, folder, stage, key, progress, profile: self.profile, timings }
     }
 
-    /// Hashes of the files that a part of the configuration names: a stage runs again when a body or a clip has changed.
-    fn input_hashes(&self, key: &[serde_json::Value]) -> Result<Vec<String>> {
-        /// Keys of the configuration whose values are paths of input files.
-        const PATHS: [&str; 4] = ["path", "skeleton", "mapping", "ground_truth"];
-        fn named(value: &serde_json::Value, out: &mut Vec<PathBuf>) {
-            match value {
-                serde_json::Value::Array(list) => list.iter().for_each(|v| named(v, out)),
-                serde_json::Value::Object(map) => {
-                    for (key, value) in map {
-                        match value.as_str() {
-                            Some(path) if PATHS.contains(&key.as_str()) => out.push(path.into()),
-                            _ => named(value, out),
-                        }
-                    }
-                }
-                _ => {}
-            }
-        }
-        let mut paths = Vec::new();
-        key.iter().for_each(|value| named(value, &mut paths));
-        let mut hashes = Vec::new();
-        for path in paths {
-            let resolved = self.files.resolve(&path)?;
-            if resolved.is_dir() {
-                // Whatever lies there: a new file counts as a change, too.
-                for file in self.files.all(&resolved)? {
-                    let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                    hashes.push(name + &artifact::hash(&self.files.read(&file)?));
-                }
-            } else {
-                hashes.push(artifact::hash(&self.files.read(&path)?));
-            }
-        }
-        Ok(hashes)
-    }
     fn timings(&self) -> BTreeMap<String, f64> {
         self.timings.lock().map(|t| t.clone()).unwrap_or_default()
     }
@@ -376,7 +348,7 @@ impl Run {
         upstream: &str,
         run: impl FnOnce(&Context<'_>) -> Result<T>,
     ) -> std::result::Result<(T, String), Halt> {
-        let inputs = self.input_hashes(key)?;
+        let inputs = input_hashes(&self.files, key)?;
         let library = |l: &PluginConfig| Ok(artifact::hash(&self.files.read(&l.path)?));
         let libraries = self.config.plugin.iter().map(library).collect::<Result<Vec<String>>>()?;
         let material = serde_json::to_vec(&(
@@ -413,4 +385,40 @@ impl Run {
         self.plan.done(name);
         Ok((value, content))
     }
+}
+
+/// Hashes of the files that a part of the configuration names: a stage runs again when a body or a clip has changed.
+pub(crate) fn input_hashes(files: &ProjectFiles, key: &[serde_json::Value]) -> Result<Vec<String>> {
+    /// Keys of the configuration whose values are paths of input files.
+    const PATHS: [&str; 5] = ["path", "skeleton", "mapping", "ground_truth", "starts"];
+    fn named(value: &serde_json::Value, out: &mut Vec<PathBuf>) {
+        match value {
+            serde_json::Value::Array(list) => list.iter().for_each(|v| named(v, out)),
+            serde_json::Value::Object(map) => {
+                for (key, value) in map {
+                    match value.as_str() {
+                        Some(path) if PATHS.contains(&key.as_str()) => out.push(path.into()),
+                        _ => named(value, out),
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+    let mut paths = Vec::new();
+    key.iter().for_each(|value| named(value, &mut paths));
+    let mut hashes = Vec::new();
+    for path in paths {
+        let resolved = files.resolve(&path)?;
+        if resolved.is_dir() {
+            // Whatever lies there: a new file counts as a change, too.
+            for file in files.all(&resolved)? {
+                let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                hashes.push(name + &artifact::hash(&files.read(&file)?));
+            }
+        } else {
+            hashes.push(artifact::hash(&files.read(&path)?));
+        }
+    }
+    Ok(hashes)
 }

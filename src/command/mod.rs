@@ -8,6 +8,7 @@ pub(crate) mod run;
 pub(crate) mod show;
 pub(crate) mod simulate;
 pub(crate) mod train;
+pub(crate) mod views;
 
 use caphy_core::{Error, Result};
 use serde::Serialize;

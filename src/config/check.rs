@@ -37,6 +37,9 @@ impl Config {
                 }
             }
         }
+        if let SubjectConfig::Scans(scans) = &self.subject {
+            named.extend(scans.starts.as_deref().map(|path| ("subject.starts", path)));
+        }
         named.extend(self.evaluate.ground_truth.as_deref().map(|path| ("evaluate.ground_truth", path)));
         for (key, path) in named {
             let resolved = files.resolve(path)?;

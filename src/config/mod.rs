@@ -38,7 +38,7 @@ pub struct Config {
     pub plugin: Vec<PluginConfig>,
     /// The naked body: `type = "mannequin" | "smplx"`.
     pub body: PluginTable,
-    /// Labels for rendered views: `type = "vertex" | "colour"`. Scans need it.
+    /// Labels for rendered views: `type = "vertex" | "colour" | "labels"`. Scans need it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub segmenter: Option<PluginTable>,
     /// Views for label fusion.
@@ -106,7 +106,7 @@ fn one() -> u64 {
 pub enum SubjectConfig {
     /// A generated person with known shape, style and fabric: scans are made first, then read like any other.
     Synthetic(SyntheticConfig),
-    /// A folder of PLY or OBJ scans in metres, y up.
+    /// A folder of PLY or OBJ scans.
     Scans(ScansConfig),
     /// Nobody's scans: a body of a given shape in given garments, whose nets learn from physics alone.
     Dressed(DressedConfig),
@@ -161,6 +161,57 @@ pub struct ScansConfig {
     /// Names (file stems) of scans that are kept for evaluation. Default none.
     #[serde(default)]
     pub held_out: Vec<String>,
+    /// Unit of positions: `"m"`, `"cm"`, `"mm"`, `"in"`. Default: of metres, centimetres and millimetres the one in which a scan
+    /// is a person.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub units: Option<LengthUnit>,
+    /// Upward axis: `"y"`, `"z"`, `"-y"`, … Default: the way up in which the body fits each scan best.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up: Option<UpAxis>,
+    /// An `.npz` with rough poses, of a keypoint fit say: `<scan>__full_pose` (joints, 3) [rad] and perhaps `<scan>__translation`
+    /// (3) [m], in metres with y up. Default none: poses are searched for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub starts: Option<PathBuf>,
+}
+
+/// A unit of length.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LengthUnit {
+    /// Metres.
+    #[serde(rename = "m")]
+    Metre,
+    /// Centimetres.
+    #[serde(rename = "cm")]
+    Centimetre,
+    /// Millimetres.
+    #[serde(rename = "mm")]
+    Millimetre,
+    /// Inches.
+    #[serde(rename = "in")]
+    Inch,
+}
+
+impl LengthUnit {
+    /// Its length [m].
+    pub fn metres(self) -> f64 {
+        match self {
+            Self::Metre => 1.0,
+            Self::Centimetre => 0.01,
+            Self::Millimetre => 0.001,
+            Self::Inch => 0.0254,
+        }
+    }
+}
+
+impl std::fmt::Display for LengthUnit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Metre => "metres",
+            Self::Centimetre => "centimetres",
+            Self::Millimetre => "millimetres",
+            Self::Inch => "inches",
+        })
+    }
 }
 
 /// `[views]`

@@ -34,6 +34,7 @@ pub fn run(context: &Context<'_>, dressed: &DressedConfig) -> Result<Subject> {
         shape: dressed.shape.clone(),
         displacement: Vec::new(),
         scans: Vec::new(),
+        skipped: Vec::new(),
         garments,
         choices: Vec::new(),
         pictures: vec!["pictures/templates.png".into()],

@@ -2,8 +2,9 @@
 
 use super::optimise::Estimates;
 use super::preprocess::{Subject, SubjectScan};
+use super::scans::read_framed;
 use super::train::{Nets, config_key};
-use super::{Context, Scans, StageOutput, material, read_scan};
+use super::{Context, Scans, StageOutput, material};
 use crate::inference::{Play, clearance, contacts, play};
 use crate::physics::Physics;
 use crate::pictures;
@@ -228,7 +229,7 @@ fn draw(
     for &i in order.iter().take(SHOWN) {
         let scan = &subject.scans[i];
         let Some(file) = scans.list.iter().find(|file| file.name == scan.name) else { continue };
-        let surface = read_scan(file)?.mesh;
+        let surface = read_framed(context.files, file, &scan.frame)?.mesh;
         let colours = pictures::label_colours(&scan.points);
         let bounds = pictures::padded(surface.bounds().unwrap_or((Vec3::zeros(), Vec3::repeat(1.0))));
         let layer = Layer::per_vertex(&surface, &colours);

@@ -12,17 +12,16 @@ pub mod optimise;
 pub mod preprocess;
 pub mod reference;
 pub mod report;
+pub mod scans;
 pub mod synth;
 pub mod train;
 
 use crate::artifact;
-use crate::config::{Config, ScansConfig};
+use crate::config::Config;
 use crate::files::ProjectFiles;
 use crate::progress::Progress;
-use caphy_core::files::Files;
+use caphy_core::Result;
 use caphy_core::material::MaterialModel;
-use caphy_core::scan::Scan;
-use caphy_core::{Error, Result};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -94,63 +93,6 @@ impl StageOutput for Scans {
     fn files(&self) -> Vec<PathBuf> {
         self.list.iter().map(|s| s.path.clone()).collect()
     }
-}
-
-/// Scans of a user's folder.
-pub fn scan_list(files: &ProjectFiles, config: &ScansConfig) -> Result<Scans> {
-    let paths = files.list(&config.folder, &["ply", "obj"])?;
-    let mut list = Vec::new();
-    for path in paths {
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().to_string();
-        let held_out = config.held_out.contains(&name);
-        if let Some(ScanFile { path: other, .. }) = list.iter().find(|s: &&ScanFile| s.name == name) {
-            return Err(Error::config(
-                "subject.folder",
-                format!("{} and {} are both scan `{name}`", other.display(), path.display()),
-                "rename or move one of them",
-            ));
-        }
-        list.push(ScanFile { name, path, held_out });
-    }
-    if let Some(missing) = config.held_out.iter().find(|h| !list.iter().any(|s| &s.name == *h)) {
-        let names: Vec<&str> = list.iter().map(|s| s.name.as_str()).collect();
-        return Err(Error::config(
-            "subject.held_out",
-            format!("there is no scan `{missing}`"),
-            format!("the folder has: {}", names.join(", ")),
-        ));
-    }
-    if !list.iter().any(|s| !s.held_out) {
-        return Err(Error::config(
-            "subject.folder",
-            format!("{} holds no scan to learn from (*.ply, *.obj)", config.folder.display()),
-            "give a folder with at least one scan that is not held out",
-        ));
-    }
-    Ok(Scans { list, truth: None })
-}
-
-/// Reads a scan by its ending.
-pub fn read_scan(file: &ScanFile) -> Result<Scan> {
-    let bytes = std::fs::read(&file.path).map_err(|e| Error::io(&file.path, "read", e))?;
-    let ending = file.path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    let mut scan = if ending == "obj" {
-        caphy_formats::obj::read_obj(&file.path, &bytes)?.scan
-    } else {
-        caphy_formats::ply::read_ply(&file.path, &bytes)?
-    };
-    scan.name = file.name.clone();
-    Ok(scan)
-}
-
-/// Hash of all scans' contents and roles.
-pub fn hash_scans(scans: &Scans) -> Result<String> {
-    let mut all = Vec::new();
-    for file in &scans.list {
-        let bytes = std::fs::read(&file.path).map_err(|e| Error::io(&file.path, "read", e))?;
-        all.extend_from_slice(format!("{}{}{}", file.name, file.held_out, artifact::hash(&bytes)).as_bytes());
-    }
-    Ok(artifact::hash(&all))
 }
 
 /// Names of the artifacts of one alternation between Eq. 10 and training: as many as anyone will ever want.

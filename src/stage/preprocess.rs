@@ -1,21 +1,29 @@
 //! From scans to labels, a naked body under the clothes, and garment templates (Sec. 3.1).
 
-use super::{Context, ScanFile, Scans, StageOutput, read_scan};
-use crate::config::GarmentConfig;
+use super::scans::{ScanFrame, hash_scan, read_framed, read_scan_of, start_poses};
+use super::{Context, ScanFile, Scans, StageOutput};
+use crate::artifact;
+use crate::config::{GarmentConfig, ScansConfig, SubjectConfig};
 use crate::fixed_shape::FixedShape;
 use crate::garment::FittedGarment;
 use crate::pictures;
+use crate::runner::input_hashes;
 use crate::scene::{label_of, thin};
-use caphy_bodymodel::registration::{RegistrationScan, ScanFit, register};
+use caphy_bodymodel::registration::{
+    RegistrationScan, RegistrationSettings, ScanFit, ScanStart, find_starts, register_from,
+};
 use caphy_core::body::{BodyModel, BodyParameters, PosedBody};
 use caphy_core::pose::Pose;
-use caphy_core::scan::{Label, LabelledPoints, Scan};
+use caphy_core::query::NearestGrid;
+use caphy_core::scan::{Label, LabelledPoints};
+use caphy_core::segmenter::Segmenter;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::template::{
     BodyRest, ChooseOptions, GarmentKind, Tailor, Template, choose_template, pose_by_nearest_vertex, refine, templates,
 };
 use caphy_render::Layer;
 use caphy_segmentation::fusion::{FusionReport, FusionSettings, label_scan};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -28,6 +36,8 @@ pub struct Subject {
     pub displacement: Vec<Vec3>,
     /// All scans with their poses.
     pub scans: Vec<SubjectScan>,
+    /// Scans that could not be used.
+    pub skipped: Vec<SkippedScan>,
     /// Templates, upper first.
     pub garments: Vec<FittedGarment>,
     /// How the templates were chosen.
@@ -42,6 +52,15 @@ impl StageOutput for Subject {
     }
 }
 
+/// A scan that was left out.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct SkippedScan {
+    /// The scan's name.
+    pub name: String,
+    /// Why.
+    pub problem: String,
+}
+
 /// One scan, labelled and fitted.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SubjectScan {
@@ -49,6 +68,10 @@ pub struct SubjectScan {
     pub name: String,
     /// Kept for evaluation.
     pub held_out: bool,
+    /// How its file became metres with y up.
+    pub frame: ScanFrame,
+    /// What was noticed about it.
+    pub notes: Vec<String>,
     /// Fitted pose.
     pub pose: Pose,
     /// All points with normals and labels.
@@ -59,6 +82,8 @@ pub struct SubjectScan {
     pub label_agreement: Option<f64>,
     /// How well the body fits.
     pub fit: ScanFit,
+    /// Share of its points farther than 15 cm from the fitted body [1].
+    pub strange_share: f64,
 }
 
 /// How a template was chosen.
@@ -97,6 +122,10 @@ const CANDIDATE_POINTS: usize = 3000;
 const REFINEMENTS: usize = 24;
 
 /// Labels, fits, chooses.
+///
+/// A scan that cannot be used is left out with a note that says why, and the others go on; without any that can be learned from,
+/// its problem is the run's. Labels and start pose of each scan are an artifact of their own: a killed run, or one with more scans
+/// in the folder, goes on from there.
 pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     let config = context.config;
     let progress = context.progress;
@@ -107,68 +136,68 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
         .ok_or_else(|| Error::config("segmenter", "there is no such table", "add [segmenter]"))?;
     let segmenter = table.segmenter(context.files)?;
     let count = scans.list.len() as f64;
+    let starts = match &config.subject {
+        SubjectConfig::Scans(ScansConfig { starts: Some(path), .. }) => {
+            start_poses(context.files, path, scans, &*body)?
+        }
+        _ => vec![None; scans.list.len()],
+    };
 
-    let settings = FusionSettings { views: config.views.count, size: config.views.size, ..FusionSettings::default() };
-    let mut labelled = Vec::new();
-    for (i, file) in scans.list.iter().enumerate() {
-        progress.set(0.3 * i as f64 / count, &format!("labels of {}", file.name));
-        let scan = read_scan(file)?;
-        check_size(file, &scan)?;
-        let fusion = label_scan(&scan, &*segmenter, &settings)?;
-        let agreement = scan.labels.as_ref().map(|stored| {
-            let same = stored.iter().zip(&fusion.labels).filter(|(a, b)| a == b).count();
-            same as f64 / stored.len().max(1) as f64
-        });
-        let normals = scan.mesh.vertex_normals();
-        let points = LabelledPoints { points: scan.mesh.vertices.clone(), normals, labels: fusion.labels };
-        labelled.push((file, scan, points, fusion.report, agreement));
-    }
-
-    let training: Vec<usize> = (0..labelled.len()).filter(|&i| !labelled[i].0.held_out).collect();
-    let as_scan = |i: usize| RegistrationScan { name: &labelled[i].0.name, points: &labelled[i].2, start: None };
-    let inputs: Vec<RegistrationScan<'_>> = training.iter().map(|&i| as_scan(i)).collect();
-    let share = training.len() as f64 / count;
-    let fit = register(&*body, &inputs, &config.registration, &|s| {
-        progress.set(0.3 + 0.5 * share * s, "body under the clothes");
-    })?;
-    let mut poses: Vec<Option<(Pose, ScanFit)>> = vec![None; labelled.len()];
-    for ((&i, pose), report) in training.iter().zip(&fit.poses).zip(&fit.report) {
-        poses[i] = Some((pose.clone(), report.clone()));
-    }
-    let mut subject_body = body.rest(&fit.shape);
-    subject_body.displacement = fit.displacement.clone();
-    // Held-out scans get a pose, but no say in the shape.
-    let fixed = FixedShape::new(&*body, &subject_body)?;
-    let held: Vec<usize> = (0..labelled.len()).filter(|&i| labelled[i].0.held_out).collect();
-    for (k, &i) in held.iter().enumerate() {
-        let settings = caphy_bodymodel::registration::RegistrationSettings {
-            displacement_sigma: 0.0,
-            ..config.registration.clone()
+    let mut skipped: Vec<SkippedScan> = Vec::new();
+    let mut failures: Vec<Error> = Vec::new();
+    let mut skip = |file: &ScanFile, error: Error| {
+        progress.note(&format!("warning: scan {} is left out: {error}", file.name));
+        skipped.push(SkippedScan { name: file.name.clone(), problem: error.to_string() });
+        failures.push(error);
+    };
+    let mut labelled: Vec<(&ScanFile, LabelledScan)> = Vec::new();
+    for (i, (file, start)) in scans.list.iter().zip(starts).enumerate() {
+        let tell = |share: f64, what: &str| {
+            progress.set(0.5 * (i as f64 + share) / count, &format!("{what} of {}", file.name));
         };
-        let fit = register(&fixed, &[as_scan(i)], &settings, &|s| {
-            progress.set(0.3 + 0.5 * (share + (1.0 - share) * (k as f64 + s) / held.len() as f64), "held-out pose");
-        })?;
-        if let (Some(pose), Some(report)) = (fit.poses.first(), fit.report.first()) {
-            poses[i] = Some((pose.clone(), report.clone()));
+        match labelled_scan(context, &*body, &*segmenter, file, start, &tell) {
+            Ok(scan) => {
+                scan.notes.iter().for_each(|note| progress.note(&format!("scan {} {note}", file.name)));
+                labelled.push((file, scan));
+            }
+            Err(error) => skip(file, error),
         }
     }
-
+    let fitted = fit_bodies(context, &*body, &mut labelled, &mut skip)?;
+    let Some((shape, displacement)) = fitted else {
+        // The first problem: later ones often follow from the same cause.
+        return Err(failures
+            .into_iter()
+            .next()
+            .unwrap_or_else(|| Error::config("subject", "no training scan", "hold out fewer scans")));
+    };
+    let mut subject_body = body.rest(&shape);
+    subject_body.displacement.clone_from(&displacement);
     let mut subject = Subject {
-        shape: fit.shape,
-        displacement: fit.displacement,
+        shape,
+        displacement,
         scans: Vec::new(),
+        skipped,
         garments: Vec::new(),
         choices: Vec::new(),
         pictures: Vec::new(),
     };
-    let mut surfaces = Vec::new();
-    for ((file, scan, points, fusion, label_agreement), fitted) in labelled.into_iter().zip(poses) {
-        let (pose, fit) = fitted.ok_or_else(|| {
+    for (file, scan) in labelled {
+        let (pose, fit) = scan.fitted.ok_or_else(|| {
             Error::numerics(format!("scan {}", file.name), "was not fitted", "look at the labels in the report")
         })?;
-        let (name, held_out) = (file.name.clone(), file.held_out);
-        subject.scans.push(SubjectScan { name, held_out, pose, points, fusion, label_agreement, fit });
-        surfaces.push(scan);
+        subject.scans.push(SubjectScan {
+            name: file.name.clone(),
+            held_out: file.held_out,
+            frame: scan.frame,
+            notes: scan.notes,
+            pose,
+            points: scan.points,
+            fusion: scan.fusion,
+            label_agreement: scan.label_agreement,
+            fit,
+            strange_share: scan.strange_share,
+        });
     }
 
     progress.set(0.8, "garment templates");
@@ -184,22 +213,179 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
         subject.garments.push(FittedGarment::new(template, &rest_vertices, weights, options)?);
     }
     progress.set(0.95, "pictures");
-    subject.pictures = draw(context, &*body, &subject_body, &subject, &surfaces)?;
+    subject.pictures = draw(context, &*body, &subject_body, &subject, scans)?;
     Ok(subject)
 }
 
-/// Largest extents that a standing, sitting or stretched person's scan can have [m]: a small child to a tall adult.
-const PERSON: (f64, f64) = (0.5, 3.0);
+/// A scan as it is known by itself: the artifact of one file.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct LabelledScan {
+    frame: ScanFrame,
+    notes: Vec<String>,
+    points: LabelledPoints,
+    fusion: FusionReport,
+    label_agreement: Option<f64>,
+    start: ScanStart,
+    /// Found with the others.
+    #[serde(skip)]
+    fitted: Option<(Pose, ScanFit)>,
+    #[serde(skip)]
+    strange_share: f64,
+}
 
-/// Refuses scans in other units before they are fitted: nothing later would say so.
-fn check_size(file: &ScanFile, scan: &Scan) -> Result<()> {
-    let Some((low, high)) = scan.mesh.bounds() else { return Ok(()) };
-    let size = (high - low).max();
-    if (PERSON.0..=PERSON.1).contains(&size) {
-        return Ok(());
+/// Labels and start pose of one scan, from its artifact when nothing has changed.
+fn labelled_scan(
+    context: &Context<'_>,
+    body: &dyn BodyModel,
+    segmenter: &dyn Segmenter,
+    file: &ScanFile,
+    start: Option<Pose>,
+    tell: &(dyn Fn(f64, &str) + Sync),
+) -> Result<LabelledScan> {
+    let config = context.config;
+    let frame = match &config.subject {
+        SubjectConfig::Scans(scans) => Some((scans.units, scans.up)),
+        _ => None,
+    };
+    let material =
+        serde_json::to_value((&config.body, &config.segmenter, &config.views, &config.registration, frame, &start))
+            .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
+    let inputs = input_hashes(context.files, std::slice::from_ref(&material))?;
+    let contents = hash_scan(context.files, file)?;
+    let garments: Vec<&str> = config.garments().map(|g| g.1).collect();
+    let key = format!("{}{material}{inputs:?}{contents}{garments:?}", env!("CARGO_PKG_VERSION"));
+    let key = artifact::hash(key.as_bytes());
+    let path = context.folder.join("labelled").join(format!("{}.caphy", file.name));
+    // A damaged artifact is made anew: it is only a shortcut.
+    if let Ok(Some((scan, _))) = artifact::load::<LabelledScan>(&path, "labelled", &key) {
+        tell(1.0, "labels");
+        return Ok(scan);
     }
-    let problem = format!("the scan measures {size:.3} m, a person {} to {} m", PERSON.0, PERSON.1);
-    Err(Error::format(&file.path, "positions", problem, "write it in metres, and the person alone"))
+    tell(0.0, "reading");
+    let (scan, frame, mut notes) = read_scan_of(context.files, &config.subject, body, file)?;
+    tell(0.2, "labels");
+    let settings = FusionSettings { views: config.views.count, size: config.views.size, ..FusionSettings::default() };
+    let fusion = label_scan(&scan, segmenter, &settings)?;
+    let label_agreement = scan.labels.as_ref().map(|stored| {
+        let same = stored.iter().zip(&fusion.labels).filter(|(a, b)| a == b).count();
+        same as f64 / stored.len().max(1) as f64
+    });
+    if fusion.report.unseen > UNSEEN {
+        notes.push(format!("has {:.0} % of vertices that no view shows with a label", 100.0 * fusion.report.unseen));
+    }
+    let normals = scan.mesh.vertex_normals();
+    let points = LabelledPoints { points: scan.mesh.vertices, normals, labels: fusion.labels };
+    tell(0.6, "start pose");
+    let input = [RegistrationScan { name: &file.name, points: &points, start }];
+    let found = find_starts(body, &input, &config.registration, &|_| ())?;
+    let start = found
+        .into_iter()
+        .next()
+        .ok_or_else(|| Error::numerics("registration", "no start", "report this as a defect"))?;
+    let fusion = fusion.report;
+    for (kind, ..) in config.garments() {
+        let own = fusion.counts[label_of(kind) as usize];
+        if own == 0 {
+            return Err(Error::mesh(
+                &file.name,
+                "labels",
+                format!("no point belongs to the {kind} garment"),
+                "check the segmenter and the labels of the scan",
+            ));
+        }
+        if own * 50 < points.labels.len() {
+            let share = 100.0 * own as f64 / points.labels.len() as f64;
+            notes.push(format!("shows little of the {kind} garment: {share:.1} % of its vertices"));
+        }
+    }
+    let made = LabelledScan { frame, notes, points, fusion, label_agreement, start, fitted: None, strange_share: 0.0 };
+    artifact::save(&path, "labelled", &key, &made)?;
+    Ok(made)
+}
+
+/// Share of vertices without a label of their own from which on it is worth a note.
+const UNSEEN: f64 = 0.2;
+/// Distance from the body at which a scan point is not this person [m]: beyond wide sleeves and long hair.
+const STRANGE: f64 = 0.15;
+/// Share of such points with which a scan is left out, and with which it is mentioned.
+const STRANGE_SHARES: (f64, f64) = (0.2, 0.02);
+
+/// Fits shape and poses to all scans, scans whose points are not explained left out; held-out scans get a pose but no say in the
+/// shape. `None` without a scan to learn from.
+fn fit_bodies(
+    context: &Context<'_>,
+    body: &dyn BodyModel,
+    labelled: &mut Vec<(&ScanFile, LabelledScan)>,
+    skip: &mut dyn FnMut(&ScanFile, Error),
+) -> Result<Option<(Vec<f64>, Vec<Vec3>)>> {
+    let (config, progress) = (context.config, context.progress);
+    loop {
+        let training: Vec<usize> = (0..labelled.len()).filter(|&i| !labelled[i].0.held_out).collect();
+        if training.is_empty() {
+            return Ok(None);
+        }
+        let as_scan =
+            |i: usize| RegistrationScan { name: &labelled[i].0.name, points: &labelled[i].1.points, start: None };
+        let inputs: Vec<RegistrationScan<'_>> = training.iter().map(|&i| as_scan(i)).collect();
+        let starts: Vec<ScanStart> = training.iter().map(|&i| labelled[i].1.start.clone()).collect();
+        let share = training.len() as f64 / labelled.len() as f64;
+        let fit = register_from(body, &inputs, &starts, &config.registration, &|s| {
+            progress.set(0.5 + 0.3 * share * s, "body under the clothes");
+        })?;
+        let mut subject_body = body.rest(&fit.shape);
+        subject_body.displacement = fit.displacement.clone();
+        let fixed = FixedShape::new(body, &subject_body)?;
+        let mut fitted: Vec<Option<(Pose, ScanFit)>> = vec![None; labelled.len()];
+        for ((&i, pose), report) in training.iter().zip(&fit.poses).zip(&fit.report) {
+            fitted[i] = Some((pose.clone(), report.clone()));
+        }
+        let held: Vec<usize> = (0..labelled.len()).filter(|&i| labelled[i].0.held_out).collect();
+        let settings = RegistrationSettings { displacement_sigma: 0.0, ..config.registration.clone() };
+        let alone: Vec<(Pose, ScanFit)> = held
+            .par_iter()
+            .map(|&i| {
+                let start = ScanStart { pose: labelled[i].1.start.pose.clone(), shape: Vec::new() };
+                let mut fit = register_from(&fixed, &[as_scan(i)], &[start], &settings, &|_| ())?;
+                Ok((fit.poses.swap_remove(0), fit.report.swap_remove(0)))
+            })
+            .collect::<Result<_>>()?;
+        held.iter().zip(alone).for_each(|(&i, found)| fitted[i] = Some(found));
+        let mut wrong = Vec::new();
+        for (i, found) in fitted.into_iter().enumerate() {
+            let (file, scan) = &mut labelled[i];
+            if let Some((pose, _)) = &found {
+                scan.strange_share = strange_share(body, &subject_body, pose, &scan.points)?;
+            }
+            if scan.strange_share > STRANGE_SHARES.0 {
+                wrong.push(i);
+            } else if scan.strange_share > STRANGE_SHARES.1 {
+                let share = 100.0 * scan.strange_share;
+                progress.note(&format!("scan {} has {share:.0} % of its points far from the body", file.name));
+            }
+            scan.fitted = found;
+        }
+        if wrong.is_empty() {
+            return Ok(Some((fit.shape, fit.displacement)));
+        }
+        // They have pulled at the shape: it is found again without them.
+        for &i in wrong.iter().rev() {
+            let (file, scan) = labelled.remove(i);
+            let problem = format!(
+                "{:.0} % of its points are more than {STRANGE} m from the fitted body",
+                100.0 * scan.strange_share
+            );
+            let remedy =
+                "is it one person, whole, without floor and backdrop? Perhaps `subject.starts` or `subject.up` helps";
+            skip(file, Error::mesh(&file.name, "points", problem, remedy));
+        }
+    }
+}
+
+/// Share of scan points far from the posed body.
+fn strange_share(body: &dyn BodyModel, subject: &BodyParameters, pose: &Pose, points: &LabelledPoints) -> Result<f64> {
+    let grid = NearestGrid::from_points(&body.forward(&subject.posed(pose))?.vertices);
+    let far = |p: &&Vec3| grid.nearest_within(&[p.x, p.y, p.z], STRANGE * STRANGE).is_none();
+    Ok(points.points.iter().filter(far).count() as f64 / points.points.len().max(1) as f64)
 }
 
 /// The template of one garment: the best of the sampled styles, refined.
@@ -266,11 +452,13 @@ fn draw(
     body: &dyn BodyModel,
     subject_body: &BodyParameters,
     subject: &Subject,
-    surfaces: &[Scan],
+    scans: &Scans,
 ) -> Result<Vec<PathBuf>> {
     let mut cells = Vec::new();
     // Enough to see whether it worked; every scan would make a long page.
-    for (scan, surface) in subject.scans.iter().zip(surfaces).take(6) {
+    for scan in subject.scans.iter().take(6) {
+        let Some(file) = scans.list.iter().find(|file| file.name == scan.name) else { continue };
+        let surface = read_framed(context.files, file, &scan.frame)?;
         let posed = body.forward(&subject_body.posed(&scan.pose))?;
         let naked = TriMesh { vertices: posed.vertices, faces: body.describe().faces.clone() };
         let bounds = pictures::padded(surface.mesh.bounds().unwrap_or((Vec3::zeros(), Vec3::repeat(1.0))));

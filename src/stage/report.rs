@@ -218,6 +218,14 @@ fn fits(html: &mut String, inputs: &Inputs<'_>) {
         "median depth under cloth, mm",
     ];
     table(html, &head, rows);
+    for scan in &inputs.subject.scans {
+        for note in &scan.notes {
+            let _ = write!(html, "<p>Scan {} {}.</p>", escape(&scan.name), escape(note));
+        }
+    }
+    for scan in &inputs.subject.skipped {
+        let _ = write!(html, "<p>Scan {} was left out: {}</p>", escape(&scan.name), escape(&scan.problem));
+    }
 }
 
 fn choices(html: &mut String, inputs: &Inputs<'_>) {

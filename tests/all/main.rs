@@ -22,5 +22,7 @@ mod pipeline;
 mod plugins;
 /// What training leaves behind, and what it survives.
 mod record;
+/// Folders of scans as people bring them.
+mod scans;
 /// Clothed people that nobody here made.
 mod standin;

@@ -27,6 +27,7 @@ use caphy_core::body::BodyModel;
 use caphy_core::pose::Pose;
 use caphy_core::scan::LabelledPoints;
 use caphy_core::{Error, Result, Vec3};
+use caphy_formats::motion::UpAxis;
 use prior::Group;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -65,6 +66,15 @@ pub struct ScanFit {
     pub last_step: f64,
 }
 
+/// Where one scan's fit starts: a rough pose with a shape of its own.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScanStart {
+    /// The pose.
+    pub pose: Pose,
+    /// Shape β [1] that goes with it, since people differ in height; shape [shape_coefficients].
+    pub shape: Vec<f64>,
+}
+
 /// A body under the clothes of all scans.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Registration {
@@ -78,7 +88,61 @@ pub struct Registration {
     pub report: Vec<ScanFit>,
 }
 
-/// Fits one shape and a pose per scan. `progress` gets values rising from 0 to 1, from any thread.
+/// How badly the body fits the points each way up, best first: mean capped squared distance [m²] of a coarse search. Labels do
+/// not matter.
+///
+/// # Errors
+/// Those of the body.
+pub fn find_up(body: &dyn BodyModel, points: &LabelledPoints) -> Result<Vec<(UpAxis, f64)>> {
+    let proxy = start::Proxy::new(body, &[])?;
+    let mut found: Vec<(UpAxis, f64)> = UpAxis::ALL
+        .par_iter()
+        .map(|&up| {
+            let turn = |list: &[Vec3]| list.iter().map(|v| up.to_y_up() * v).collect::<Vec<_>>();
+            let turned = LabelledPoints {
+                points: turn(&points.points),
+                normals: turn(&points.normals),
+                labels: points.labels.clone(),
+            };
+            (up, proxy.misfit(&turned, RegistrationSettings::default().start_headings))
+        })
+        .collect();
+    found.sort_by(|a, b| a.1.total_cmp(&b.1));
+    Ok(found)
+}
+
+/// Where each scan's fit starts, by itself: coarse search, then a short fit from the best poses. `progress` gets values rising
+/// from 0 to 1, from any thread.
+///
+/// # Errors
+/// As [`register`].
+pub fn find_starts(
+    body: &dyn BodyModel,
+    scans: &[RegistrationScan],
+    settings: &RegistrationSettings,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<Vec<ScanStart>> {
+    let prepared = Prepared::new(body, scans, settings)?;
+    let problem = prepared.problem(body, settings);
+    let shape = vec![0.0; prepared.shape_count];
+    let proxy = start::Proxy::new(body, &shape)?;
+    let done = std::sync::atomic::AtomicUsize::new(0);
+    scans
+        .par_iter()
+        .zip(&prepared.data)
+        .map(|(scan, data)| {
+            let candidates =
+                proxy.search(scan.points, settings.start_headings, settings.start_trials, scan.start.as_ref());
+            let mut best = try_starts(&problem, data, &shape, candidates)?;
+            let count = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+            progress(count as f64 / scans.len() as f64);
+            Ok(ScanStart { pose: best.poses.swap_remove(0), shape: best.shape })
+        })
+        .collect()
+}
+
+/// Fits one shape and a pose per scan: [`find_starts`], then [`register_from`]. `progress` gets values rising from 0 to 1, from
+/// any thread.
 ///
 /// # Errors
 /// [`Error::Config`] for settings out of range; [`Error::Length`], [`Error::NonFinite`] or [`Error::Mesh`] for scans
@@ -90,44 +154,68 @@ pub fn register(
     settings: &RegistrationSettings,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<Registration> {
-    settings.check()?;
-    let description = body.describe();
-    let joint_count = description.joints.len();
-    let shape_count = settings.shape_coefficients.min(description.shape_count);
-    for scan in scans {
-        if let Some(pose) = &scan.start {
-            Error::check_length(&format!("start pose of scan `{}`", scan.name), joint_count, pose.rotations.len())?;
-            for v in pose.rotations.iter().chain([&pose.translation]) {
-                Error::check_finite(&format!("start pose of scan `{}`", scan.name), v.as_slice())?;
+    let starts = find_starts(body, scans, settings, &|s| progress(0.4 * s))?;
+    register_from(body, scans, &starts, settings, &|s| progress(0.4 + 0.6 * s))
+}
+
+/// What both halves of a registration need.
+struct Prepared<'a> {
+    shape_count: usize,
+    data: Vec<ScanData<'a>>,
+    samples: Vec<u32>,
+    priors: Vec<prior::JointPrior>,
+}
+
+impl<'a> Prepared<'a> {
+    fn new(body: &dyn BodyModel, scans: &'a [RegistrationScan], settings: &RegistrationSettings) -> Result<Self> {
+        settings.check()?;
+        let description = body.describe();
+        let joint_count = description.joints.len();
+        for scan in scans {
+            if let Some(pose) = &scan.start {
+                Error::check_length(&format!("start pose of scan `{}`", scan.name), joint_count, pose.rotations.len())?;
+                for v in pose.rotations.iter().chain([&pose.translation]) {
+                    Error::check_finite(&format!("start pose of scan `{}`", scan.name), v.as_slice())?;
+                }
             }
         }
-    }
-    let data: Vec<ScanData> =
-        scans.par_iter().map(|s| solve::prepare(s.name, s.points, settings)).collect::<Result<_>>()?;
-    let neutral = State { shape: vec![0.0; shape_count], poses: vec![] };
-    let (rest, _) = solve::pose_body(body, &neutral.shape, &Pose::rest(joint_count))?;
-    let samples = correspondence::spread(&rest.vertices, settings.sample_vertices);
-    let priors = prior::joint_priors(description);
-    let problem = Problem { body, settings, priors: &priors, samples: &samples };
-    let proxy = start::Proxy::new(body, &neutral.shape)?;
-
-    // Every scan's start on its own; each trial may take its own shape, since people differ in height.
-    let done = std::sync::atomic::AtomicUsize::new(0);
-    let starts: Vec<State> = scans
-        .par_iter()
-        .zip(&data)
-        .map(|(scan, data)| {
-            let candidates =
-                proxy.search(scan.points, settings.start_headings, settings.start_trials, scan.start.as_ref());
-            let best = try_starts(&problem, data, &neutral.shape, candidates);
-            let count = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-            progress(0.4 * count as f64 / scans.len() as f64);
-            best
+        let shape_count = settings.shape_coefficients.min(description.shape_count);
+        let (rest, _) = solve::pose_body(body, &vec![0.0; shape_count], &Pose::rest(joint_count))?;
+        Ok(Self {
+            shape_count,
+            data: scans.par_iter().map(|s| solve::prepare(s.name, s.points, settings)).collect::<Result<_>>()?,
+            samples: correspondence::spread(&rest.vertices, settings.sample_vertices),
+            priors: prior::joint_priors(description),
         })
-        .collect::<Result<_>>()?;
+    }
+    fn problem<'b>(&'b self, body: &'b dyn BodyModel, settings: &'b RegistrationSettings) -> Problem<'b> {
+        Problem { body, settings, priors: &self.priors, samples: &self.samples }
+    }
+}
 
-    let mut state = State { shape: vec![0.0; shape_count], poses: starts.iter().map(|s| s.poses[0].clone()).collect() };
-    for start in &starts {
+/// Fits one shape and a pose per scan from a start for each. `progress` gets values rising from 0 to 1, from any thread.
+///
+/// # Errors
+/// As [`register`]; [`Error::Length`] for starts that are not as many as scans, or of another body.
+pub fn register_from(
+    body: &dyn BodyModel,
+    scans: &[RegistrationScan],
+    starts: &[ScanStart],
+    settings: &RegistrationSettings,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<Registration> {
+    let prepared = Prepared::new(body, scans, settings)?;
+    let problem = prepared.problem(body, settings);
+    let (shape_count, data) = (prepared.shape_count, &prepared.data);
+    Error::check_length("starts of a registration", scans.len(), starts.len())?;
+    for (scan, start) in scans.iter().zip(starts) {
+        let joints = body.describe().joints.len();
+        Error::check_length(&format!("start pose of scan `{}`", scan.name), joints, start.pose.rotations.len())?;
+        Error::check_length(&format!("start shape of scan `{}`", scan.name), shape_count, start.shape.len())?;
+    }
+    let mut state = State { shape: vec![0.0; shape_count], poses: starts.iter().map(|s| s.pose.clone()).collect() };
+    // People differ in height: the mean of what each start found.
+    for start in starts {
         for (s, v) in state.shape.iter_mut().zip(&start.shape) {
             *s += v / starts.len() as f64;
         }
@@ -140,7 +228,7 @@ pub fn register(
         let x = (TRIAL_END + (1.0 - TRIAL_END) * 1.5 * iterations as f64 / settings.iterations as f64).min(1.0);
         last = solve::step(&problem, &all, &mut state, &Level::at(settings, x, Group::End, true))?;
         iterations += 1;
-        progress(0.4 + 0.5 * iterations as f64 / settings.iterations as f64);
+        progress(0.8 * iterations as f64 / settings.iterations as f64);
         if x == 1.0 && last.iter().all(|&step| step < CONVERGED) {
             break;
         }
@@ -149,7 +237,7 @@ pub fn register(
     let displacement = displacement::displace(&problem, &all, &state, &fine)?;
     let report = scans
         .par_iter()
-        .zip(&data)
+        .zip(data)
         .enumerate()
         .map(|(i, (scan, data))| {
             let fit = displacement::measure(&problem, data, &state, i, &displacement, &fine)?;

@@ -220,6 +220,28 @@ impl<'a> Proxy<'a> {
         }
         Cloud::new(&points, &normals)
     }
+    /// How badly the best pose of the search fits: mean capped squared distance [m²].
+    pub(super) fn misfit(&self, scan: &LabelledPoints, headings: usize) -> f64 {
+        let target = Target::new(scan);
+        let limbs = limbs(self.body, &self.joints);
+        let found = self.descents(&target, &limbs, headings);
+        found.iter().map(|f| f.0).fold(f64::INFINITY, f64::min)
+    }
+    /// One pose per heading, each the end of a descent from upright.
+    fn descents(&self, target: &Target, limbs: &[Limb], headings: usize) -> Vec<(f64, Pose)> {
+        let root = self.body.joints.iter().position(|j| j.parent.is_none());
+        let from = |heading: usize| {
+            let mut pose = Pose::rest(self.joints.len());
+            if let Some(root) = root {
+                let yaw = std::f64::consts::TAU * heading as f64 / headings as f64;
+                // The shorter way round.
+                pose.rotations[root] =
+                    Vec3::y() * if yaw > std::f64::consts::PI { yaw - std::f64::consts::TAU } else { yaw };
+            }
+            self.descend(pose, root, limbs, target)
+        };
+        (0..headings).map(from).collect()
+    }
     /// Poses to try, best first: one per heading, at most `count`, and before them a given one, as it is and searched
     /// from.
     pub(super) fn search(
@@ -232,18 +254,7 @@ impl<'a> Proxy<'a> {
         let target = Target::new(scan);
         let limbs = limbs(self.body, &self.joints);
         let root = self.body.joints.iter().position(|j| j.parent.is_none());
-        let mut found: Vec<(f64, Pose)> = (0..headings)
-            .map(|heading| {
-                let mut pose = Pose::rest(self.joints.len());
-                if let Some(root) = root {
-                    let yaw = std::f64::consts::TAU * heading as f64 / headings as f64;
-                    // The shorter way round.
-                    pose.rotations[root] =
-                        Vec3::y() * if yaw > std::f64::consts::PI { yaw - std::f64::consts::TAU } else { yaw };
-                }
-                self.descend(pose, root, &limbs, &target)
-            })
-            .collect();
+        let mut found = self.descents(&target, &limbs, headings);
         found.sort_by(|a, b| a.0.total_cmp(&b.0));
         found.truncate(count);
         let mut out: Vec<Pose> = Vec::new();

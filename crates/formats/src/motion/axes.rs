@@ -29,6 +29,19 @@ pub enum UpAxis {
 }
 
 impl UpAxis {
+    /// All of them.
+    pub const ALL: [Self; 6] = [Self::Y, Self::Z, Self::MinusY, Self::MinusZ, Self::X, Self::MinusX];
+    /// As in a configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::X => "x",
+            Self::MinusX => "-x",
+            Self::Y => "y",
+            Self::MinusY => "-y",
+            Self::Z => "z",
+            Self::MinusZ => "-z",
+        }
+    }
     /// The upward direction in the file's world.
     pub fn direction(self) -> Vec3 {
         match self {
@@ -60,7 +73,7 @@ mod tests {
 
     #[test]
     fn every_axis_is_turned_up() {
-        for axis in [UpAxis::X, UpAxis::MinusX, UpAxis::Y, UpAxis::MinusY, UpAxis::Z, UpAxis::MinusZ] {
+        for axis in UpAxis::ALL {
             let turned = axis.to_y_up() * axis.direction();
             assert!((turned - Vec3::y()).norm() < 1e-15, "{axis:?}: {turned}");
         }

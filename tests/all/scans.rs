@@ -1,0 +1,100 @@
+//! Folders of scans as people bring them: other units and axes, files that cannot be used among good ones, stopped runs.
+
+use crate::bad_input::person;
+use crate::experiment::{Experiment, edited, tiny_on_scans, value};
+use caphy::runner::Run;
+use caphy::stage::preprocess::Subject;
+use caphy_core::Vec3;
+use caphy_core::scan::{Label, Scan};
+use caphy_formats::motion::UpAxis;
+use caphy_formats::ply::write_ply;
+
+fn preprocess(experiment: &Experiment) -> Subject {
+    let run = Run::open(&experiment.config(), Some(experiment.out())).and_then(|run| run.only("preprocess"));
+    run.and_then(Run::all).unwrap_or_else(|e| panic!("{e}"));
+    value(&experiment.out(), "preprocess")
+}
+
+fn plan(experiment: &Experiment) -> String {
+    let run = Run::open(&experiment.config(), Some(experiment.out())).and_then(Run::plan);
+    run.unwrap_or_else(|e| panic!("{e}")).text()
+}
+
+fn moved(scan: &Scan, to: impl Fn(&Vec3) -> Vec3) -> Scan {
+    let mut scan = scan.clone();
+    scan.mesh.vertices.iter_mut().for_each(|p| *p = to(p));
+    scan
+}
+
+/// Two people side by side in one file.
+fn two(scan: &Scan) -> Scan {
+    let mut out = scan.clone();
+    let first = out.mesh.vertices.len() as u32;
+    out.mesh.vertices.extend(scan.mesh.vertices.iter().map(|p| p + Vec3::new(0.0, 0.0, 0.9)));
+    out.mesh.faces.extend(scan.mesh.faces.iter().map(|f| f.map(|v| v + first)));
+    out.labels.get_or_insert_default().extend(scan.labels.iter().flatten());
+    out.colours = None;
+    out
+}
+
+#[test]
+fn scans_that_cannot_be_used_are_left_out_and_the_others_go_on() {
+    let scan = person();
+    let experiment = Experiment::new(&tiny_on_scans("scans", &["held"]));
+    let write = |name: &str, scan: &Scan| experiment.write(&format!("scans/{name}.ply"), &write_ply(scan));
+    write("anna", &scan);
+    write("held", &scan);
+    write("millimetres", &moved(&scan, |p| 1000.0 * p));
+    write("lying", &moved(&scan, |p| Vec3::new(p.x, -p.z, p.y)));
+    write("upside-down", &moved(&scan, |p| Vec3::new(p.x, -p.y, -p.z)));
+    write("nan", &moved(&scan, |p| if p.y > 0.6 { Vec3::repeat(f64::NAN) } else { *p }));
+    write("two", &two(&scan));
+    let labels =
+        scan.labels.as_ref().map(|l| l.iter().map(|l| if *l == Label::Lower { Label::Body } else { *l }).collect());
+    write("no-trousers", &Scan { labels, ..scan.clone() });
+    write("no-labels", &Scan { labels: None, ..scan.clone() });
+    experiment.write("scans/cut.ply", &write_ply(&scan)[..4000]);
+
+    let told = plan(&experiment);
+    for words in ["Scan held (held out)", "no labels on its vertices", "vertex", "not finite", "cut.ply"] {
+        assert!(told.contains(words), "`{words}` is missing in {told}");
+    }
+    let subject = preprocess(&experiment);
+    let used: Vec<&str> = subject.scans.iter().map(|s| &*s.name).collect();
+    assert_eq!(used, ["anna", "held", "lying", "millimetres", "upside-down"]);
+    let frame = |name: &str| subject.scans.iter().find(|s| s.name == name).expect("a scan").frame;
+    assert_eq!((frame("anna").metres_per_unit, frame("anna").up), (1.0, UpAxis::Y));
+    assert_eq!((frame("millimetres").metres_per_unit, frame("millimetres").up), (1e-3, UpAxis::Y));
+    assert_eq!((frame("lying").up, frame("upside-down").up), (UpAxis::Z, UpAxis::MinusY));
+    let why = |name: &str| {
+        let found = subject.skipped.iter().find(|s| s.name == name);
+        found.unwrap_or_else(|| panic!("{name} was used")).problem.clone()
+    };
+    for (name, words) in [
+        ("nan", ["vertex", "not finite"]),
+        ("two", ["0.15 m", "one person"]),
+        ("no-trousers", ["lower", "labels"]),
+        ("no-labels", ["labels", "colour"]),
+        ("cut", ["cut.ply", "again"]),
+    ] {
+        let said = why(name);
+        let missing = words.iter().find(|w| !said.contains(**w));
+        assert!(missing.is_none(), "`{missing:?}` is missing in {name}: {said}");
+    }
+
+    // One more scan: what is known of the others is taken from their artifacts.
+    let stamp = |name: &str| {
+        let path = experiment.out().join(format!("labelled/{name}.caphy"));
+        std::fs::metadata(path).and_then(|m| m.modified()).expect("an artifact of the scan")
+    };
+    let before = stamp("anna");
+    write("otto", &scan);
+    let more = preprocess(&experiment);
+    assert_eq!((more.scans.len(), stamp("anna")), (6, before));
+    assert!(stamp("otto") > before);
+    // Another unit is another scan.
+    experiment.configure(&edited(&tiny_on_scans("scans", &["held"]), &[("folder", "units = \"m\"\nfolder")]));
+    let subject = preprocess(&experiment);
+    assert!(subject.skipped.iter().any(|s| s.name == "millimetres" && s.problem.contains("subject.units")));
+    assert!(stamp("anna") > before);
+}
