@@ -10,7 +10,7 @@ use crate::pictures;
 use crate::runner::input_hashes;
 use crate::scene::{label_of, thin};
 use caphy_bodymodel::registration::{
-    RegistrationScan, RegistrationSettings, ScanFit, ScanStart, find_starts, register_from,
+    RegistrationScan, RegistrationSettings, ScanFit, ScanStart, find_starts, register, register_from,
 };
 use caphy_core::body::{BodyModel, BodyParameters, PosedBody};
 use caphy_core::pose::Pose;
@@ -26,6 +26,7 @@ use caphy_segmentation::fusion::{FusionReport, FusionSettings, label_scan};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A subject after preprocessing.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -150,12 +151,21 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
         skipped.push(SkippedScan { name: file.name.clone(), problem: error.to_string() });
         failures.push(error);
     };
+    let done = AtomicUsize::new(0);
+    let known: Vec<Result<LabelledScan>> = scans
+        .list
+        .par_iter()
+        .zip(starts)
+        .map(|(file, start)| {
+            let known = labelled_scan(context, &*body, &*segmenter, file, start);
+            let share = (done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / count;
+            progress.set(0.5 * share, &format!("labels and start of {}", file.name));
+            known
+        })
+        .collect();
     let mut labelled: Vec<(&ScanFile, LabelledScan)> = Vec::new();
-    for (i, (file, start)) in scans.list.iter().zip(starts).enumerate() {
-        let tell = |share: f64, what: &str| {
-            progress.set(0.5 * (i as f64 + share) / count, &format!("{what} of {}", file.name));
-        };
-        match labelled_scan(context, &*body, &*segmenter, file, start, &tell) {
+    for (file, known) in scans.list.iter().zip(known) {
+        match known {
             Ok(scan) => {
                 scan.notes.iter().for_each(|note| progress.note(&format!("scan {} {note}", file.name)));
                 labelled.push((file, scan));
@@ -240,7 +250,6 @@ fn labelled_scan(
     segmenter: &dyn Segmenter,
     file: &ScanFile,
     start: Option<Pose>,
-    tell: &(dyn Fn(f64, &str) + Sync),
 ) -> Result<LabelledScan> {
     let config = context.config;
     let frame = match &config.subject {
@@ -258,12 +267,9 @@ fn labelled_scan(
     let path = context.folder.join("labelled").join(format!("{}.caphy", file.name));
     // A damaged artifact is made anew: it is only a shortcut.
     if let Ok(Some((scan, _))) = artifact::load::<LabelledScan>(&path, "labelled", &key) {
-        tell(1.0, "labels");
         return Ok(scan);
     }
-    tell(0.0, "reading");
     let (scan, frame, mut notes) = read_scan_of(context.files, &config.subject, body, file)?;
-    tell(0.2, "labels");
     let settings = FusionSettings { views: config.views.count, size: config.views.size, ..FusionSettings::default() };
     let fusion = label_scan(&scan, segmenter, &settings)?;
     let label_agreement = scan.labels.as_ref().map(|stored| {
@@ -275,7 +281,6 @@ fn labelled_scan(
     }
     let normals = scan.mesh.vertex_normals();
     let points = LabelledPoints { points: scan.mesh.vertices, normals, labels: fusion.labels };
-    tell(0.6, "start pose");
     let input = [RegistrationScan { name: &file.name, points: &points, start }];
     let found = find_starts(body, &input, &config.registration, &|_| ())?;
     let start = found
@@ -344,8 +349,9 @@ fn fit_bodies(
         let alone: Vec<(Pose, ScanFit)> = held
             .par_iter()
             .map(|&i| {
-                let start = ScanStart { pose: labelled[i].1.start.pose.clone(), shape: Vec::new() };
-                let mut fit = register_from(&fixed, &[as_scan(i)], &[start], &settings, &|_| ())?;
+                // The start went with a shape of its own: with the subject's, others may be better.
+                let scan = RegistrationScan { start: Some(labelled[i].1.start.pose.clone()), ..as_scan(i) };
+                let mut fit = register(&fixed, &[scan], &settings, &|_| ())?;
                 Ok((fit.poses.swap_remove(0), fit.report.swap_remove(0)))
             })
             .collect::<Result<_>>()?;

@@ -6,8 +6,11 @@ use caphy::runner::Run;
 use caphy::stage::preprocess::Subject;
 use caphy_core::Vec3;
 use caphy_core::scan::{Label, Scan};
+use caphy_core::segmenter::{Segmenter, View};
 use caphy_formats::motion::UpAxis;
 use caphy_formats::ply::write_ply;
+use caphy_render::{Rgb, png, render, uniform_views};
+use caphy_segmentation::SegmenterVertex;
 
 fn preprocess(experiment: &Experiment) -> Subject {
     let run = Run::open(&experiment.config(), Some(experiment.out())).and_then(|run| run.only("preprocess"));
@@ -97,4 +100,47 @@ fn scans_that_cannot_be_used_are_left_out_and_the_others_go_on() {
     let subject = preprocess(&experiment);
     assert!(subject.skipped.iter().any(|s| s.name == "millimetres" && s.problem.contains("subject.units")));
     assert!(stamp("anna") > before);
+}
+
+#[test]
+fn label_images_of_the_views_bring_the_labels_back() {
+    let scan = person();
+    let labels = "type = \"labels\"\npath = \"labels\"\nmap = \"lip\"";
+    let edits = [("type = \"vertex\"", labels), ("count = 8\nsize = 128", "count = 16\nsize = 256")];
+    let experiment = Experiment::new(&edited(&tiny_on_scans("scans", &[]), &edits));
+    experiment.write("scans/anna.ply", &write_ply(&Scan { labels: None, colours: None, ..scan.clone() }));
+    let cameras = uniform_views(scan.mesh.bounds().expect("vertices"), 16, 256);
+    for (index, camera) in cameras.iter().enumerate() {
+        let image = render(&scan.mesh, None, camera);
+        let view = View {
+            scan: &scan,
+            index,
+            count: 16,
+            camera,
+            colour: &image.colour,
+            depth: &image.depth,
+            triangle: &image.triangle,
+        };
+        let mut seen = vec![Label::Ignore; 256 * 256];
+        SegmenterVertex.segment(&view, &mut seen).unwrap_or_else(|e| panic!("{e}"));
+        // Right arm, upper clothes, pants and background in the colours of PASCAL VOC's map, as viewers save palettes.
+        let colour = |label: &Label| match label {
+            Label::Body => [192, 128, 128],
+            Label::Upper => [128, 0, 128],
+            Label::Lower => [192, 0, 0],
+            Label::Ignore => [0, 0, 0],
+        };
+        let picture = Rgb { width: 256, height: 256, pixels: seen.iter().map(colour).collect() };
+        experiment.write(&format!("labels/anna_{index:03}.png"), &png(&picture).unwrap_or_else(|e| panic!("{e}")));
+    }
+    let subject = preprocess(&experiment);
+    let truth = scan.labels.as_ref().expect("labels");
+    let same = truth.iter().zip(&subject.scans[0].points.labels).filter(|(a, b)| a == b).count();
+    let share = same as f64 / truth.len() as f64;
+    assert!(share >= 0.97, "{:.1} % of the labels", 100.0 * share);
+    // Images are inputs: without one of them the stage is not up to date, and says which is missing.
+    std::fs::remove_file(experiment.folder.path().join("labels/anna_003.png")).expect("an image");
+    let said =
+        Run::open(&experiment.config(), Some(experiment.out())).and_then(Run::all).expect_err("an error").to_string();
+    assert!(said.contains("view 3") && said.contains("views.count"), "{said}");
 }
