@@ -236,6 +236,8 @@ struct LabelledScan {
     fusion: FusionReport,
     label_agreement: Option<f64>,
     start: ScanStart,
+    /// The user's rough pose.
+    given: Option<Pose>,
     /// Found with the others.
     #[serde(skip)]
     fitted: Option<(Pose, ScanFit)>,
@@ -249,7 +251,7 @@ fn labelled_scan(
     body: &dyn BodyModel,
     segmenter: &dyn Segmenter,
     file: &ScanFile,
-    start: Option<Pose>,
+    given: Option<Pose>,
 ) -> Result<LabelledScan> {
     let config = context.config;
     let frame = match &config.subject {
@@ -257,7 +259,7 @@ fn labelled_scan(
         _ => None,
     };
     let material =
-        serde_json::to_value((&config.body, &config.segmenter, &config.views, &config.registration, frame, &start))
+        serde_json::to_value((&config.body, &config.segmenter, &config.views, &config.registration, frame, &given))
             .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
     let inputs = input_hashes(context.files, std::slice::from_ref(&material))?;
     let contents = hash_scan(context.files, file)?;
@@ -281,7 +283,7 @@ fn labelled_scan(
     }
     let normals = scan.mesh.vertex_normals();
     let points = LabelledPoints { points: scan.mesh.vertices, normals, labels: fusion.labels };
-    let input = [RegistrationScan { name: &file.name, points: &points, start }];
+    let input = [RegistrationScan { name: &file.name, points: &points, start: given.clone() }];
     let found = find_starts(body, &input, &config.registration, &|_| ())?;
     let start = found
         .into_iter()
@@ -303,7 +305,8 @@ fn labelled_scan(
             notes.push(format!("shows little of the {kind} garment: {share:.1} % of its vertices"));
         }
     }
-    let made = LabelledScan { frame, notes, points, fusion, label_agreement, start, fitted: None, strange_share: 0.0 };
+    let made =
+        LabelledScan { frame, notes, points, fusion, label_agreement, start, given, fitted: None, strange_share: 0.0 };
     artifact::save(&path, "labelled", &key, &made)?;
     Ok(made)
 }
@@ -349,8 +352,8 @@ fn fit_bodies(
         let alone: Vec<(Pose, ScanFit)> = held
             .par_iter()
             .map(|&i| {
-                // The start went with a shape of its own: with the subject's, others may be better.
-                let scan = RegistrationScan { start: Some(labelled[i].1.start.pose.clone()), ..as_scan(i) };
+                // The start found before went with a shape of its own: with the subject's it is searched for again.
+                let scan = RegistrationScan { start: labelled[i].1.given.clone(), ..as_scan(i) };
                 let mut fit = register(&fixed, &[scan], &settings, &|_| ())?;
                 Ok((fit.poses.swap_remove(0), fit.report.swap_remove(0)))
             })
