@@ -36,7 +36,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 fn fit(problem: &Problem, settings: &EquilibriumSettings) -> caphy_core::Result<EquilibriumEstimate> {
     let reduction = Reduction::multipliers(&*problem.material)?;
-    equilibrium(problem, reduction, settings, None, &mut |_| Ok(()))
+    let started = Instant::now();
+    equilibrium(problem, reduction, settings, None, &mut |p| {
+        eprintln!("{:7.2} s {} {:.2?}", started.elapsed().as_secs_f64(), p.message, p.state.y);
+        Ok(())
+    })
 }
 
 fn near(names: &[String], seeds: u64, mode: &str) -> Result<(), Box<dyn std::error::Error>> {
@@ -71,7 +75,8 @@ fn near(names: &[String], seeds: u64, mode: &str) -> Result<(), Box<dyn std::err
             unknowns = found.unknowns;
         }
         println!(
-            "{name}: {:.1} s a fit, {out} of {} poses left out, χ² {:.3}",
+            "{}: {:.1} s a fit, {out} of {} poses left out, χ² {:.3}",
+            case.name,
             seconds / seeds as f64,
             5 * seeds,
             chi2 / seeds as f64

@@ -22,7 +22,7 @@ pub mod shapes;
 
 pub use alternation::{AlternationEstimate, AlternationSettings, alternation};
 pub use capture::{Capture, ContactSearch, ScanPoints, Surroundings};
-pub use equilibrium::{EquilibriumEstimate, FitProgress, FitState, Problem, equilibrium};
+pub use equilibrium::{EquilibriumEstimate, FitProgress, FitState, NativeEvidence, Problem, equilibrium};
 pub use force_balance::{FabricEstimate, ForceBalanceSettings, GroupEstimate, force_balance};
 pub use reduction::Reduction;
 pub use settings::EquilibriumSettings;

@@ -5,7 +5,7 @@ use super::pose::{Slopes, Trial, huber, project};
 use super::{Fit, FitProgress, median};
 use crate::solver::{Outcome, SolverSettings};
 use caphy_core::{Error, Result, Vec3};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use serde::{Deserialize, Serialize};
 
 /// Half-width of a 95 % interval in standard deviations.
@@ -159,10 +159,7 @@ impl Fit<'_> {
         }
         let inflation = self.inflation(&trials);
         let data = &information / inflation;
-        let prior = DMatrix::from_diagonal(&DVector::from_iterator(
-            y.len(),
-            self.unknowns.prior_sd.iter().map(|sd| 1.0 / (sd * sd)),
-        ));
+        let prior = self.unknowns.prior.clone();
         let covariance = inverse(&(&data + &prior))?;
         let (friction, spread) = self.friction_spread(&y, progress)?;
         let unknowns = self.judged(&y, &covariance, &spread);
@@ -199,7 +196,7 @@ impl Fit<'_> {
 
     /// Information of a pose's measurements on the unknowns, free sliding marginalised out: `modes` are displacements of one
     /// standard deviation each.
-    fn information(&self, s: &Slopes, trial: &Trial, modes: &[Vec<f64>], sigma: f64) -> DMatrix<f64> {
+    pub(super) fn information(&self, s: &Slopes, trial: &Trial, modes: &[Vec<f64>], sigma: f64) -> DMatrix<f64> {
         let rows: Vec<usize> = (0..s.counts.len()).filter(|&r| s.counts[r]).collect();
         let n = s.by_unknown.ncols();
         let m = modes.len();

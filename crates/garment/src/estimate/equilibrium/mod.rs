@@ -13,10 +13,13 @@
 //! Static shapes show Θ over density only. Friction is modelled but not known. Values belong to this mesh.
 
 mod evidence;
+mod native;
 mod pose;
+mod sheet;
 mod unknowns;
 
 pub use evidence::{Combination, EquilibriumEstimate, NuisanceEstimate, PoseReport, UnknownEstimate};
+pub use native::{FabricOdds, NativeEvidence};
 
 use super::bounded;
 use super::capture::Capture;
@@ -30,11 +33,12 @@ use nalgebra::{DMatrix, DVector};
 use pose::{PoseFit, Pull, Slopes, Trial};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use sheet::Sheet;
 use std::sync::Arc;
 use unknowns::Unknowns;
 
 /// Shorter steps that are tried before a λ is given up.
-const TRIES: usize = 6;
+const TRIES: usize = 8;
 /// Rounds of leaving poses out.
 const GATINGS: usize = 3;
 /// Promised gain, in units of half χ², below which a step at a λ that is to fall yet is not worth its time.
@@ -140,6 +144,7 @@ struct Fit<'p> {
     settings: &'p EquilibriumSettings,
     unknowns: Unknowns,
     poses: Vec<PoseFit<'p>>,
+    sheet: Sheet,
     state: FitState,
 }
 
@@ -167,7 +172,7 @@ impl<'p> Fit<'p> {
             gatings: 0,
             evaluations: 0,
         };
-        Ok(Self { problem, settings, unknowns, poses, state })
+        Ok(Self { problem, settings, unknowns, poses, sheet: Sheet::new(&*problem.material)?, state })
     }
     fn go_on(&mut self, state: FitState) -> Result<()> {
         Error::check_length("unknowns of the state to go on from", self.unknowns.len(), state.y.len())?;
@@ -232,10 +237,12 @@ impl<'p> Fit<'p> {
     /// Cost of trials with the prior; poses that found no rest make it infinite unless they had none before.
     fn cost(&self, y: &[f64], trials: &[Option<Trial>]) -> f64 {
         let data: f64 = trials.iter().flatten().map(|t| t.cost).sum();
-        let prior: f64 = (y.iter().zip(&self.unknowns.start()).zip(&self.unknowns.prior_sd))
-            .map(|((y, start), sd)| 0.5 * ((y - start) / sd).powi(2))
-            .sum();
+        let off = self.off_start(y);
+        let prior = 0.5 * (&self.unknowns.prior * &off).dot(&off);
         data + prior
+    }
+    fn off_start(&self, y: &[f64]) -> DVector<f64> {
+        DVector::from_column_slice(y) - DVector::from_vec(self.unknowns.start())
     }
     fn slopes(&mut self, y: &[f64], pulls: &[Option<Pull>], trials: &[Option<Trial>]) -> Result<Vec<Option<Slopes>>> {
         let material = self.material(y)?;
@@ -265,10 +272,8 @@ impl<'p> Fit<'p> {
             h += weighted.transpose() * &s.by_unknown;
             g += weighted.transpose() * &s.residual;
         }
-        for (k, (start, sd)) in self.unknowns.start().iter().zip(&self.unknowns.prior_sd).enumerate() {
-            h[(k, k)] += 1.0 / (sd * sd);
-            g[k] += (y[k] - start) / (sd * sd);
-        }
+        h += &self.unknowns.prior;
+        g += &self.unknowns.prior * self.off_start(y);
         Normal { h, g }
     }
 
@@ -321,6 +326,10 @@ impl<'p> Fit<'p> {
                     break;
                 }
                 let to: Vec<f64> = y.iter().zip(d.iter()).map(|(y, d)| y + d).collect();
+                if !self.sheet.admits(&*self.material(&to)?)? {
+                    self.state.reach = 0.5 * d.amax();
+                    continue;
+                }
                 let forecasts = self.forecasts(&slopes, &d);
                 let trials = self.attempt(&to, &pulls, Some(&forecasts), &part)?;
                 let reached = self.cost(&to, &trials);
@@ -348,16 +357,25 @@ impl<'p> Fit<'p> {
         }
         Ok(())
     }
-    /// The step that minimises the quadratic model within reach and limits.
+    /// The step that minimises the quadratic model within limits, damped in the prior's metric until no unknown moves beyond reach.
+    /// Bounds on each unknown would let what the poses say little of make up for the others: Poisson coupling that grows while
+    /// tension falls, until the fabric is no sheet.
     fn step(&self, y: &[f64], normal: &Normal) -> Result<DVector<f64>> {
         let n = y.len();
-        let reach = |k: usize| {
-            let unit = if k < self.unknowns.fabric() { 1.0 } else { self.unknowns.prior_sd[k] };
-            self.state.reach * unit
-        };
-        let lower = DVector::from_fn(n, |k, _| (-reach(k)).max(self.unknowns.limits(k)[0] - y[k]).min(0.0));
-        let upper = DVector::from_fn(n, |k, _| reach(k).min(self.unknowns.limits(k)[1] - y[k]).max(0.0));
-        bounded::solve(&normal.h, &-&normal.g, &lower, &upper, &DVector::zeros(n))
+        let unit = |k: usize| if k < self.unknowns.fabric() { 1.0 } else { self.unknowns.prior_sd[k] };
+        let lower = DVector::from_fn(n, |k, _| (self.unknowns.limits(k)[0] - y[k]).min(0.0));
+        let upper = DVector::from_fn(n, |k, _| (self.unknowns.limits(k)[1] - y[k]).max(0.0));
+        let mut damping = 0.0;
+        loop {
+            let h = &normal.h + &self.unknowns.prior * damping;
+            let d = bounded::solve(&h, &-&normal.g, &lower, &upper, &DVector::zeros(n))?;
+            let far = (0..n).map(|k| d[k].abs() / unit(k)).fold(0.0, f64::max);
+            if far <= self.state.reach {
+                return Ok(d);
+            }
+            damping =
+                if damping == 0.0 { 1e-3 * normal.h.trace() / self.unknowns.prior.trace() } else { 2.0 * damping };
+        }
     }
     fn forecasts(&self, slopes: &[Option<Slopes>], d: &DVector<f64>) -> Vec<Vec<f64>> {
         let of = |(s, pose): (&Option<Slopes>, &PoseFit<'_>)| {

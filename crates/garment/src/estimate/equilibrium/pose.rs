@@ -17,8 +17,10 @@ const EASE_STEP: f64 = 1e-4;
 const OFFSET_STEP: f64 = 1e-2;
 /// A pose counts as at rest when no vertex is pushed harder than this share of its weight.
 const AT_REST: f64 = 1e-3;
+/// Newton steps of a trial: one that needs more went too far.
+const TRIAL_STEPS: usize = 60;
 /// Farthest that the linear forecast of a shape may move a vertex [m]: beyond, the step starts from the old shape.
-const FORECAST_M: f64 = 5e-3;
+const FORECAST_M: f64 = 1e-3;
 
 /// Springs to the scan while the fit begins.
 pub(crate) struct Pull {
@@ -138,7 +140,13 @@ impl<'p> PoseFit<'p> {
         };
         let capture = self.capture;
         let solver = &mut self.solver;
-        let solution = in_scene(capture, body.as_ref(), pull, |scene| solver.solve(scene, &start, &|_| {}))?;
+        let settings = *solver.settings();
+        if forecast.is_some() {
+            solver.set_settings(SolverSettings { iterations: settings.iterations.min(TRIAL_STEPS), ..settings })?;
+        }
+        let solution = in_scene(capture, body.as_ref(), pull, |scene| solver.solve(scene, &start, &|_| {}));
+        solver.set_settings(settings)?;
+        let solution = solution?;
         let weight = self.problem.rest.mass() * self.problem.forces.gravity.norm() / start.len() as f64;
         let at_rest = solution.report.residual_n <= AT_REST * weight;
         let rows = self.comparison.rows(&solution.positions)?;

@@ -5,6 +5,7 @@ use super::super::reduction::Reduction;
 use super::super::settings::EquilibriumSettings;
 use crate::GarmentRest;
 use caphy_core::{Error, Result, Vec3};
+use nalgebra::DMatrix;
 
 /// Names of the rest-shape ease: shares by which the cut differs along u and v.
 const EASE: [&str; 2] = ["girth ease", "length ease"];
@@ -20,6 +21,8 @@ pub(crate) struct Unknowns {
     /// Values of the offset's four shapes at each body vertex, in [−1, 1].
     offset: Option<Vec<[f64; 4]>>,
     pub(crate) prior_sd: Vec<f64>,
+    /// Inverse of the prior's covariance.
+    pub(crate) prior: DMatrix<f64>,
 }
 
 impl Unknowns {
@@ -34,7 +37,8 @@ impl Unknowns {
             offset = Some(offset_shapes(captures)?);
             prior_sd.extend([settings.body_offset_sd_m / OFFSET_SCALE_M; 4]);
         }
-        Ok(Self { reduction, ease, offset, prior_sd })
+        let prior = precision(&reduction, settings, &prior_sd);
+        Ok(Self { reduction, ease, offset, prior_sd, prior })
     }
     pub(crate) fn len(&self) -> usize {
         self.prior_sd.len()
@@ -78,6 +82,20 @@ impl Unknowns {
             _ => body.clone(),
         }
     }
+}
+
+/// Inverse of sd² (s 1 1ᵀ + (1 − s) I) for the fabric, s the common share, and of sd² for the others.
+fn precision(reduction: &Reduction, settings: &EquilibriumSettings, sd: &[f64]) -> DMatrix<f64> {
+    let p = reduction.len();
+    let common = if reduction.logarithmic { settings.prior_common } else { 0.0 };
+    let own = 1.0 - common;
+    // Sherman and Morrison.
+    let off = common / (own * (own + common * p as f64));
+    DMatrix::from_fn(sd.len(), sd.len(), |i, j| {
+        let unit = f64::from(u8::from(i == j));
+        let value = if i < p && j < p { unit / own - off } else { unit };
+        value / (sd[i] * sd[j])
+    })
 }
 
 fn offset_shapes(captures: &[Capture]) -> Result<Vec<[f64; 4]>> {
