@@ -6,13 +6,13 @@
 //! ```
 //! `near SEEDS [FABRIC…]` starts 15 % off and says bias, scatter and coverage; `surface SEEDS [FABRIC…]` the same from points to
 //! surface; `contact SEEDS [FABRIC…]` with one pose on a sphere; `far [FABRIC…]` starts at 4 times, a quarter and another
-//! fabric.
+//! fabric's seven numbers; `files DIR [FABRIC]` writes the poses as scans with a file for `caphy estimate`.
 
 #[path = "../tests/estimate/study.rs"]
 mod study;
 
 use caphy_core::material::MaterialModel;
-use caphy_garment::estimate::{EquilibriumEstimate, EquilibriumSettings, Problem, Reduction, ScanPoints, equilibrium};
+use caphy_garment::estimate::{EquilibriumEstimate, EquilibriumSettings, Problem, Reduction, ScanPoints, equilibrium, reduction};
 use std::sync::Arc;
 use std::time::Instant;
 use study::{Case, NOISE_M, fabric, scaled};
@@ -21,6 +21,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
     let mode = arguments.next().unwrap_or("near".into());
     let rest: Vec<String> = arguments.collect();
+    if mode == "files" {
+        let folder = rest.first().ok_or("give a folder")?;
+        return write_files(std::path::Path::new(folder), rest.get(1).map_or("gray-interlock", |f| f.as_str()));
+    }
     let (seeds, names) = match rest.split_first() {
         Some((first, names)) if mode != "far" => (first.parse()?, names),
         _ => (20, &rest[..]),
@@ -30,7 +34,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     match mode.as_str() {
         "far" => far(names, &all),
         "near" | "surface" | "contact" => near(names, seeds, &mode),
-        _ => Err(format!("`{mode}` is none of near, surface, contact, far").into()),
+        _ => Err(format!("`{mode}` is none of near, surface, contact, far, files").into()),
     }
 }
 
@@ -112,10 +116,17 @@ fn far(names: &[String], all: &[String]) -> Result<(), Box<dyn std::error::Error
         let case = Case::new(name, false);
         let place = all.iter().position(|n| n == name).unwrap_or(0);
         let other = &all[(place + 3) % all.len()];
+        // Another fabric's seven numbers in this one's table: its own table could not become this one by factors.
+        let numbers = case.ratios(&fabric(other).parameters().iter().map(|p| p.value.abs()).collect::<Vec<_>>());
+        let sizes = case.ratios(&case.truth.parameters().iter().map(|p| p.value.abs()).collect::<Vec<_>>());
+        let mut values: Vec<f64> = case.truth.parameters().iter().map(|p| p.value).collect();
+        for (k, group) in reduction::groups(&*case.truth).iter().enumerate() {
+            group.members.iter().for_each(|&i| values[i] *= numbers[k] / sizes[k]);
+        }
         let starts: [(String, Arc<dyn MaterialModel>); 3] = [
             ("× 4".into(), scaled(&case.truth, 4.0)),
             ("÷ 4".into(), scaled(&case.truth, 0.25)),
-            (other.clone(), fabric(other)),
+            (other.clone(), Arc::from(case.truth.with_parameters(&values)?)),
         ];
         for (from, begin) in starts {
             let problem = case.problem(begin, NOISE_M, 7);
@@ -128,7 +139,6 @@ fn far(names: &[String], all: &[String]) -> Result<(), Box<dyn std::error::Error
                     continue;
                 }
             };
-            // The groups' rest stiffness: another table has another shape beyond.
             let ratios = case.ratios(&found.parameters);
             let known: Vec<usize> = (0..ratios.len()).filter(|&k| found.unknowns[k].log_sd_noise < 0.07).collect();
             let worst = known.iter().map(|&k| ratios[k].ln().abs()).fold(0.0, f64::max);
@@ -145,5 +155,42 @@ fn far(names: &[String], all: &[String]) -> Result<(), Box<dyn std::error::Error
             );
         }
     }
+    Ok(())
+}
+
+/// Scans of the poses, finer than the cloth by midpoints and not in its order, with a file that asks for their fabric from another one.
+fn write_files(folder: &std::path::Path, name: &str) -> Result<(), Box<dyn std::error::Error>> {
+    use caphy_core::TriMesh;
+    use caphy_core::scan::Scan;
+    let case = Case::new(name, true);
+    std::fs::create_dir_all(folder)?;
+    let mut random = study::Normal::new(1);
+    let begin = if name == "gray-interlock" { "camel-ponte-roma" } else { "gray-interlock" };
+    let mut toml = format!(
+        "out = \"fitted\"\ncloth = {{ type = \"rectangle\", size_m = [0.3, 0.3], edge_m = 0.015, mass_g = {} }}\n\
+         material = {{ type = \"measured\", fabric = \"{begin}\" }}\n\n[equilibrium]\nmesh_log_sd = 0.0\n",
+        1e3 * case.rest.mass()
+    );
+    for (i, (setup, shape)) in case.setups.iter().zip(&case.shapes).enumerate() {
+        let faces = case.rest.faces().to_vec();
+        let fine = TriMesh { vertices: shape.clone(), faces: faces.clone() }.subdivided();
+        let mesh = TriMesh { vertices: random.shaken(&fine.vertices, NOISE_M), faces: fine.faces };
+        let scan = Scan { name: setup.name.into(), mesh, colours: None, labels: None };
+        std::fs::write(folder.join(format!("scan-{i}.ply")), caphy_formats::ply::write_ply(&scan))?;
+        // Registered to a few millimetres; clamps where they are.
+        let mut start = random.shaken(shape, 1e-3);
+        setup.fixed.iter().for_each(|&v| start[v as usize] = shape[v as usize]);
+        let start = TriMesh { vertices: start, faces };
+        std::fs::write(folder.join(format!("start-{i}.obj")), caphy_formats::obj::write_obj(&start, None)?)?;
+        toml += &format!(
+            "\n[[pose]]\nname = \"{}\"\nscan = \"scan-{i}.ply\"\nstart = \"start-{i}.obj\"\nclamps = [{{ vertices = {:?} }}]\n",
+            setup.name, setup.fixed
+        );
+        if setup.body.is_some() {
+            toml += "on = { type = \"sphere\", centre = [0.0, -0.08, 0.0], radius_m = 0.08 }\n";
+        }
+    }
+    std::fs::write(folder.join("swatch.toml"), toml)?;
+    println!("{}", folder.join("swatch.toml").display());
     Ok(())
 }
