@@ -12,7 +12,9 @@
 mod study;
 
 use caphy_core::material::MaterialModel;
-use caphy_garment::estimate::{EquilibriumEstimate, EquilibriumSettings, Problem, Reduction, ScanPoints, equilibrium, reduction};
+use caphy_garment::estimate::{
+    EquilibriumEstimate, EquilibriumSettings, Problem, Reduction, ScanPoints, equilibrium, reduction,
+};
 use std::sync::Arc;
 use std::time::Instant;
 use study::{Case, NOISE_M, fabric, scaled};

@@ -124,8 +124,8 @@ impl Comparison {
                 vertices.iter().zip(points).flat_map(of).collect()
             }
             ScanPoints::Surface { points, visible, .. } => {
-                let mut rows = self.from_scan(x, points)?;
-                rows.extend(self.from_garment(x, visible.as_deref())?);
+                let mut rows = self.scan_rows(x, points)?;
+                rows.extend(self.garment_rows(x, visible.as_deref())?);
                 rows
             }
         };
@@ -133,7 +133,7 @@ impl Comparison {
         Ok(out)
     }
 
-    fn from_scan(&self, x: &[Vec3], points: &[Vec3]) -> Result<Vec<Row>> {
+    fn scan_rows(&self, x: &[Vec3], points: &[Vec3]) -> Result<Vec<Row>> {
         let normals = mesh::vertex_normals(x, &self.faces);
         let found = NearestSurface::new(x, &self.faces)?.nearest_all(points, None)?;
         let mut rows = Vec::with_capacity(points.len());
@@ -166,7 +166,7 @@ impl Comparison {
         Ok(rows)
     }
 
-    fn from_garment(&self, x: &[Vec3], visible: Option<&[bool]>) -> Result<Vec<Row>> {
+    fn garment_rows(&self, x: &[Vec3], visible: Option<&[bool]>) -> Result<Vec<Row>> {
         let (Some((surface, border)), ScanPoints::Surface { points, faces, .. }) = (&self.surface, &self.scan) else {
             return Ok(Vec::new());
         };

@@ -103,7 +103,7 @@ impl EquilibriumSettings {
         if !(0.0..1.0).contains(&self.prior_common) {
             return refuse("prior_common", self.prior_common.to_string(), "give a share from 0 to below 1");
         }
-        if !(self.gate > 1.0) {
+        if self.gate.is_nan() || self.gate <= 1.0 {
             return refuse("gate", self.gate.to_string(), "give more than 1, or every other pose is left out");
         }
         if self.steps == 0 {
