@@ -8,6 +8,7 @@ pub mod avatar;
 pub mod config;
 pub mod conformity;
 pub mod dressed;
+pub mod estimate;
 pub mod files;
 pub mod fixed_shape;
 pub mod garment;

@@ -42,6 +42,9 @@ enum Command {
     /// Simulate garments along a motion clip by the reference solver, at rest in each frame or in motion.
     #[command(after_help = command::simulate::EXAMPLES)]
     Simulate(command::simulate::Arguments),
+    /// Estimate the fabric of a cloth from scans of it at rest.
+    #[command(after_help = command::estimate::EXAMPLES)]
+    Estimate(command::estimate::Arguments),
     /// Ask a material for its answers to deformation gradients or folds.
     #[command(after_help = command::probe::EXAMPLES)]
     Probe(command::probe::Arguments),
@@ -78,6 +81,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Train(arguments) => command::train::run(arguments, &mut plugins),
         Command::Animate(arguments) => command::animate::run(arguments, &plugins),
         Command::Simulate(arguments) => command::simulate::run(arguments, &plugins),
+        Command::Estimate(arguments) => command::estimate::run(arguments, &plugins),
         Command::Probe(arguments) => command::probe::run(arguments, &plugins),
         Command::Check(arguments) => command::check::run(arguments, &mut plugins),
     }

@@ -2,6 +2,7 @@
 
 pub(crate) mod animate;
 pub(crate) mod check;
+pub(crate) mod estimate;
 mod figure;
 pub(crate) mod probe;
 pub(crate) mod run;

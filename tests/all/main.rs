@@ -10,6 +10,8 @@ mod commands;
 mod config;
 /// Subjects without scans.
 mod dressed;
+/// Fabric from scans of a swatch, by files.
+mod estimate;
 /// Very small experiments in folders of their own.
 mod experiment;
 /// Bodies, garments and motion, shown and played.

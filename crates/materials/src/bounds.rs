@@ -11,14 +11,13 @@ const DECADES: f64 = 1e3;
 /// A parameter with bounds around its start value.
 ///
 /// * positive: [1e-3, 1e3] times the value, so that a logarithm of it can be estimated;
-/// * negative (20 published table entries): from twice the value up to 1e3 times its size; a value further down would
-///   only widen the region where the clamp max(0, ·) takes the derivative away;
+/// * negative (20 published table entries): 1e3 times its size either way, so that a table may be multiplied as a whole;
 /// * zero: from 0 to 1e3 times `scale`, a typical size of its kind.
 pub(crate) fn bounded(name: String, unit: &str, value: f64, scale: f64) -> Parameter {
     let (lower, upper) = if value > 0.0 {
         (value / DECADES, value * DECADES)
     } else if value < 0.0 {
-        (2.0 * value, -value * DECADES)
+        (value * DECADES, -value * DECADES)
     } else {
         (0.0, scale * DECADES)
     };

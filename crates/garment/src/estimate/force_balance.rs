@@ -1,31 +1,66 @@
 //! Eq. 10 solved directly: the fabric in which given garment shapes would be at rest.
 //!
-//! E_phys is linear in the stiffness of each group wherever no clamp switches, so the gradient of Eq. 10 is A z + b and the
-//! equation is a bounded least-squares problem in the multipliers z.
+//! E_phys is linear in the stiffness of each group wherever no clamp switches, so the gradient of Eq. 10 is A m + b and the
+//! equation is a bounded least-squares problem in the multipliers m. A fabric that is not linear in its parameters goes down the
+//! slope of Eq. 10 instead ([`super::shapes`]).
 //!
-//! Differs from the paper: solved exactly instead of by gradient descent, because it is linear; and rows of vertices in
+//! Differs from the paper: solved exactly instead of by gradient descent, where it is linear; and rows of vertices in
 //! contact are dropped, because contact forces are not the fabric's.
 
-use super::bounded;
-use super::reduction::{self, Group};
+use super::balance_system::{BalanceRules, BalanceSolution, BalanceSystem};
+use super::reduction;
 use caphy_core::material::MaterialModel;
 use caphy_core::{Error, Result};
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
-/// Settings of [`force_balance`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// Settings of Eq. 10.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ForceBalanceSettings {
-    /// λ_reg of Eq. 10 on (z − 1)², relative to each group's own squared force. Default 0.1.
+    /// λ_reg of Eq. 10 on (m − 1)², relative to each group's own squared force. Default 0.1.
     pub regularisation: f64,
     /// Multipliers stay within [1/x, x]. Default 3: shapes that are not exact equilibria pull all stiffness to zero.
     pub largest_factor: f64,
+    /// Groups whose logarithm is the unknown, by the beginning of their names. Default `bend`: the paper reparametrises bending to
+    /// balance magnitudes; it acts through λ_reg and bounds.
+    pub logarithmic: Vec<String>,
+    /// λ_reg of single groups instead of `regularisation`, by their names. Default none.
+    pub regularisation_of: BTreeMap<String, f64>,
 }
 
 impl Default for ForceBalanceSettings {
     fn default() -> Self {
-        Self { regularisation: 0.1, largest_factor: 3.0 }
+        Self {
+            regularisation: 0.1,
+            largest_factor: 3.0,
+            logarithmic: vec!["bend".into()],
+            regularisation_of: BTreeMap::new(),
+        }
+    }
+}
+
+impl ForceBalanceSettings {
+    /// λ_reg per group.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a group that there is not, or a value that is negative.
+    pub(crate) fn regularisations(&self, names: &[String]) -> Result<Vec<f64>> {
+        for (name, value) in &self.regularisation_of {
+            let key = format!("regularisation_of.{name}");
+            if !names.contains(name) {
+                let remedy = format!("this fabric has: {}", names.join(", "));
+                return Err(Error::config(key, "is no group of this fabric", remedy));
+            }
+            if !(*value >= 0.0 && value.is_finite()) {
+                return Err(Error::config(key, value.to_string(), "give a number that is not negative"));
+            }
+        }
+        Ok(names.iter().map(|n| self.regularisation_of.get(n).copied().unwrap_or(self.regularisation)).collect())
+    }
+    pub(crate) fn logarithms(&self, names: &[String]) -> Vec<bool> {
+        names.iter().map(|n| self.logarithmic.iter().any(|l| n.starts_with(l.as_str()))).collect()
     }
 }
 
@@ -58,6 +93,9 @@ pub struct FabricEstimate {
     /// Singular values of A with columns scaled to unit length, largest first: near zero means that combinations of groups
     /// cannot be told apart.
     pub singular_values: Vec<f64>,
+    /// The combinations that these belong to, parts of the groups in units of their columns.
+    #[serde(default)]
+    pub combinations: Vec<Vec<f64>>,
     /// Rows used and rows in all.
     pub rows: [usize; 2],
     /// Things the user must know.
@@ -100,52 +138,69 @@ pub fn force_balance(
     let rows = start.len();
     let n = groups.len();
     // Linear in each group: halving a group and comparing gives half its column exactly, and stays inside bounds.
-    let mut a = DMatrix::zeros(rows, n);
-    for (g, _) in groups.iter().enumerate() {
+    let mut whole = DMatrix::zeros(rows, n + 1);
+    let mut b = start.clone();
+    for g in 0..n {
         let mut multipliers = vec![1.0; n];
         multipliers[g] = 0.5;
         let halved = reduction::scaled(material, &groups, &multipliers)?;
         let column = (&start - kept(&*halved)?) * 2.0;
-        a.set_column(g, &column);
+        b -= &column;
+        whole.set_column(g, &column);
     }
-    let ones = DVector::from_element(n, 1.0);
-    let b = &start - &a * &ones;
-
-    let lengths = DVector::from_fn(n, |g, _| a.column(g).norm());
-    let longest = lengths.amax();
-    let excited: Vec<bool> = lengths.iter().map(|&l| l > 1e-12 * longest && l > 0.0).collect();
-    let normal = a.transpose() * &a;
-    let regularised = DMatrix::from_fn(n, n, |i, j| {
-        normal[(i, j)] + if i == j { settings.regularisation * lengths[i] * lengths[i] } else { 0.0 }
-    });
-    let right = DVector::from_fn(n, |i, _| -a.column(i).dot(&b) + settings.regularisation * lengths[i] * lengths[i]);
-    let lower = ones.clone() / settings.largest_factor;
-    let upper = ones.clone() * settings.largest_factor;
-    let z = bounded::solve(&regularised, &right, &lower, &upper, &ones)?;
-
-    let unit = DMatrix::from_fn(rows, n, |r, g| if excited[g] { a[(r, g)] / lengths[g] } else { 0.0 });
-    // Small: the singular values of A are the square roots of the eigenvalues of AᵀA.
-    let mut singular_values: Vec<f64> =
-        (unit.transpose() * &unit).symmetric_eigenvalues().iter().map(|v| v.max(0.0).sqrt()).collect();
-    singular_values.sort_by(|x, y| y.total_cmp(x));
-    let inverse = regularised.clone().pseudo_inverse(1e-300).ok();
-    let multipliers: Vec<f64> = z.iter().copied().collect();
+    whole.set_column(n, &b);
+    let system = BalanceSystem::of_rows(whole);
+    let names: Vec<String> = groups.iter().map(|g| g.name.clone()).collect();
+    let solution = solve(&system, &names, &DVector::from_element(n, 1.0), settings)?;
+    let multipliers: Vec<f64> = solution.multipliers.iter().copied().collect();
     let estimated = reduction::scaled(material, &groups, &multipliers)?;
     let after = kept(&*estimated)?;
     let rms = |v: &DVector<f64>| if rows == 0 { 0.0 } else { v.norm() / (rows as f64).sqrt() };
-    let groups: Vec<GroupEstimate> = groups
+    let parameters = estimated.parameters().iter().map(|p| p.value).collect();
+    let residuals = [rms(&start), rms(&after)];
+    Ok(reported(&names, parameters, &solution, residuals, [rows, keep.len()], settings))
+}
+
+/// The multipliers that balance a system from `start`.
+pub(crate) fn solve(
+    system: &BalanceSystem,
+    names: &[String],
+    start: &DVector<f64>,
+    settings: &ForceBalanceSettings,
+) -> Result<BalanceSolution> {
+    system.solve(&BalanceRules {
+        start,
+        regularisation: &settings.regularisations(names)?,
+        logarithmic: &settings.logarithms(names),
+        lower: &DVector::from_element(names.len(), 1.0 / settings.largest_factor),
+        upper: &DVector::from_element(names.len(), settings.largest_factor),
+    })
+}
+
+/// A solution with what the user must know about it.
+pub(crate) fn reported(
+    names: &[String],
+    parameters: Vec<f64>,
+    solution: &BalanceSolution,
+    [residual_before_n, residual_after_n]: [f64; 2],
+    rows: [usize; 2],
+    settings: &ForceBalanceSettings,
+) -> FabricEstimate {
+    let n = names.len();
+    let longest = solution.lengths.amax();
+    let (lower, upper) = (1.0 / settings.largest_factor, settings.largest_factor);
+    let groups: Vec<GroupEstimate> = names
         .iter()
         .enumerate()
-        .map(|(g, Group { name, .. })| {
-            // Posterior over prior variance: 1 when the data says nothing.
-            let prior = settings.regularisation * lengths[g] * lengths[g];
-            let left = inverse.as_ref().map_or(1.0, |i| i[(g, g)] * prior);
+        .map(|(g, name)| {
+            let (z, length) = (solution.multipliers[g], solution.lengths[g]);
+            let excited = length > 1e-12 * longest && length > 0.0;
             GroupEstimate {
                 name: name.clone(),
-                multiplier: z[g],
-                determined: if excited[g] { (1.0 - left).clamp(0.0, 1.0) } else { 0.0 },
-                at_bound: z[g] <= lower[g] * (1.0 + 1e-9) || z[g] >= upper[g] * (1.0 - 1e-9),
-                excited: excited[g],
+                multiplier: z,
+                determined: if excited { (1.0 - solution.left_to_prior[g]).clamp(0.0, 1.0) } else { 0.0 },
+                at_bound: z <= lower * (1.0 + 1e-9) || z >= upper * (1.0 - 1e-9),
+                excited,
             }
         })
         .collect();
@@ -160,13 +215,14 @@ pub fn force_balance(
     if !held.is_empty() {
         warnings.push(format!("these shapes do not excite {}: kept as configured", held.join(", ")));
     }
-    Ok(FabricEstimate {
-        parameters: estimated.parameters().iter().map(|p| p.value).collect(),
-        residual_before_n: rms(&start),
-        residual_after_n: rms(&after),
-        singular_values,
-        rows: [rows, keep.len()],
+    FabricEstimate {
+        parameters,
+        residual_before_n,
+        residual_after_n,
+        singular_values: solution.singular_values.clone(),
+        combinations: solution.combinations.clone(),
+        rows,
         groups,
         warnings,
-    })
+    }
 }

@@ -9,7 +9,7 @@ use super::factor::{Factor, Kind};
 use super::scene::Scene;
 use super::solution::Solution;
 use super::sparse::BlockMatrix;
-use super::state::{Prepared, Workspace};
+use super::state::{Prepared, Workspace, flat};
 use crate::energy::{State, Tangent};
 use caphy_core::lanes::Frames;
 use caphy_core::{Error, Result};
@@ -38,7 +38,7 @@ impl Solver {
     pub fn linearise(&self, scene: &Scene<'_>, solution: &Solution) -> Result<Linearisation<'_>> {
         let prepared = Prepared::new(self, scene)?;
         let mut workspace = Workspace::new(self.vertex_count());
-        let x: Vec<f64> = solution.positions.iter().flat_map(|p| [p.x, p.y, p.z]).collect();
+        let x = flat(&solution.positions);
         Error::check_length("solution to linearise at", 3 * self.vertex_count(), x.len())?;
         let mut matrix = BlockMatrix::new(self.pattern.clone());
         workspace.tangent(self, &prepared, &solution.frozen, &x, Tangent::Exact, &mut matrix)?;
@@ -57,6 +57,24 @@ impl Solver {
         let positions = workspace.set(&x).clone();
         let fixed = prepared.fixed;
         Ok(Linearisation { solver: self, positions, matrix, factor, fixed, residual_n: solution.report.residual_n })
+    }
+}
+
+impl Solver {
+    /// ∂E/∂x [N], shape [vertex][3], at a solution's positions in a scene that may differ a little from its own, contact pairs and
+    /// friction held as they are there; zero at fixed vertices. Differences of it are the ∂f/∂p of [`Linearisation::response`]
+    /// for whatever a scene or a garment consists of.
+    ///
+    /// # Errors
+    /// As [`Solver::solve`].
+    pub fn gradient_at(&self, scene: &Scene<'_>, solution: &Solution) -> Result<Vec<f64>> {
+        let prepared = Prepared::new(self, scene)?;
+        let mut workspace = Workspace::new(self.vertex_count());
+        let x = flat(&solution.positions);
+        Error::check_length("solution to take forces at", 3 * self.vertex_count(), x.len())?;
+        let mut gradient = Vec::new();
+        workspace.evaluate(self, &prepared, &solution.frozen, &x, Some(&mut gradient))?;
+        Ok(gradient)
     }
 }
 

@@ -39,8 +39,8 @@ use stretch_table::{StretchTable, membrane_by_table};
 ///
 /// Native parameters (39): the 24 stretching entries `c11[row 0]` … `c33[row 5]` [N/m], raw (the stiffness is twice the
 /// clamped interpolation), then the 15 bending entries `bend[row 0, column 0]` … [N·m]. Multipliers of the configuration
-/// are already in them. Bounds: positive entries within 1e-3 and 1e3 times their start; the negative ones from twice
-/// their value up.
+/// are already in them. Bounds: positive entries within 1e-3 and 1e3 times their start; the negative ones within 1e3 times
+/// their size.
 ///
 /// Energy and stress are linear in the entries except where the clamp max(0, ·) is active; there the derivative is 0.
 ///
