@@ -39,6 +39,9 @@ enum Command {
     /// Simulate garments along a motion clip by the reference solver, at rest in each frame or in motion.
     #[command(after_help = command::simulate::EXAMPLES)]
     Simulate(command::simulate::Arguments),
+    /// Make scans of a generated person of known shape, clothes and fabrics.
+    #[command(after_help = command::synth::EXAMPLES)]
+    Synth(command::synth::Arguments),
     /// Ask a material for its answers to deformation gradients or folds.
     #[command(after_help = command::probe::EXAMPLES)]
     Probe(command::probe::Arguments),
@@ -74,6 +77,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Train(arguments) => command::train::run(arguments, &mut plugins),
         Command::Animate(arguments) => command::animate::run(arguments, &plugins),
         Command::Simulate(arguments) => command::simulate::run(arguments, &plugins),
+        Command::Synth(arguments) => command::synth::run(arguments, &mut plugins),
         Command::Probe(arguments) => command::probe::run(arguments, &plugins),
         Command::Check(arguments) => command::check::run(arguments, &mut plugins),
     }

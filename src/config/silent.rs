@@ -79,6 +79,11 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
             silent: &["lower.styles"],
         },
         Rule {
+            holds: matches!(&config.subject, SubjectConfig::Synthetic(s) if s.rig.holes == 0),
+            because: "subject.rig.holes = 0",
+            silent: &["subject.rig.hole_radius_m"],
+        },
+        Rule {
             holds: matches!(config.subject, SubjectConfig::Synthetic(_)),
             because: "subject.type = \"synthetic\", whose truth is known",
             silent: &["evaluate.ground_truth"],

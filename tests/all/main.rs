@@ -24,3 +24,5 @@ mod plugins;
 mod record;
 /// Clothed people that nobody here made.
 mod standin;
+/// Scans of generated people.
+mod synth;
