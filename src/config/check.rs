@@ -132,7 +132,7 @@ impl Config {
             let reads = self.segmenter.as_ref().and_then(|table| table.table().get("type")).and_then(|t| t.as_str());
             if !s.rig.labels && reads == Some("vertex") {
                 let problem = "false, but the segmenter `vertex` reads the labels that scans carry";
-                return Err(Error::config("subject.rig.labels", problem, "choose another segmenter, or store labels"));
+                return Err(Error::config("subject.rig.labels", problem, "give true, or choose another segmenter"));
             }
         }
         count("views.count", self.views.count, 1, 10_000)?;

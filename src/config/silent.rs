@@ -1,6 +1,8 @@
 //! Settings that another setting switches off: a value that somebody chose and that changes nothing is refused.
 
-use super::{Config, FinetuneConfig, GarmentConfig, OptimiseConfig, SubjectConfig, TrainConfig, ViewsConfig, thirty};
+use super::{
+    Config, FinetuneConfig, GarmentConfig, OptimiseConfig, RigConfig, SubjectConfig, TrainConfig, ViewsConfig, thirty,
+};
 use caphy_bodymodel::registration::RegistrationSettings;
 use caphy_core::{Error, Result};
 use serde::Serialize;
@@ -130,6 +132,7 @@ fn default_of(path: &str) -> Option<toml::Value> {
         "optimise" => table(OptimiseConfig::default()),
         "finetune" => table(FinetuneConfig::default()),
         "views" => table(ViewsConfig::default()),
+        "subject" => Some(toml::Table::from_iter([("rig".to_string(), table(RigConfig::default())?.into())])),
         "registration" => table(RegistrationSettings::default()),
         "upper" | "lower" => {
             Some(toml::Table::from_iter([("styles".to_string(), toml::Value::Integer(thirty() as i64))]))

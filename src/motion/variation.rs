@@ -137,9 +137,7 @@ fn share(joint: &str) -> f64 {
 
 fn of_arm(joint: &str) -> bool {
     let Some((side, part)) = joint.split_once('_') else { return false };
-    matches!(side, "left" | "right")
-        && !matches!(part, "hip" | "knee" | "ankle" | "foot")
-        && !part.starts_with("eye")
+    matches!(side, "left" | "right") && !matches!(part, "hip" | "knee" | "ankle" | "foot") && !part.starts_with("eye")
 }
 
 /// The mirror image of a pose, left for right: an axis is a pseudovector, so its part in the mirror's plane turns round.

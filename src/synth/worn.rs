@@ -20,8 +20,8 @@ pub struct Worn {
     pub reports: Vec<SolveReport>,
 }
 
-/// The margin of training's default, a quarter as soft: tight trousers then sink in by a millimetre, not two.
-const CONTACT: ContactOptions = ContactOptions { margin: 4e-3, allowed_depth: 0.5e-3, load: 50.0 };
+/// The same as training's default.
+const CONTACT: ContactOptions = ContactOptions { margin: 4e-3, allowed_depth: 1e-3, load: 50.0 };
 
 /// Brings all clothes to rest in a pose, each from where skinning puts it.
 ///
