@@ -29,6 +29,7 @@ pub mod scene;
 pub mod show;
 pub mod simulate;
 pub mod stage;
+pub mod synth;
 pub mod track;
 pub mod trainer;
 pub mod training;

@@ -45,6 +45,9 @@ enum Command {
     /// Estimate the fabric of a cloth from scans of it at rest.
     #[command(after_help = command::estimate::EXAMPLES)]
     Estimate(command::estimate::Arguments),
+    /// Make scans of a generated person of known shape, clothes and fabrics.
+    #[command(after_help = command::synth::EXAMPLES)]
+    Synth(command::synth::Arguments),
     /// Ask a material for its answers to deformation gradients or folds.
     #[command(after_help = command::probe::EXAMPLES)]
     Probe(command::probe::Arguments),
@@ -82,6 +85,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Animate(arguments) => command::animate::run(arguments, &plugins),
         Command::Simulate(arguments) => command::simulate::run(arguments, &plugins),
         Command::Estimate(arguments) => command::estimate::run(arguments, &plugins),
+        Command::Synth(arguments) => command::synth::run(arguments, &mut plugins),
         Command::Probe(arguments) => command::probe::run(arguments, &plugins),
         Command::Check(arguments) => command::check::run(arguments, &mut plugins),
     }

@@ -130,8 +130,13 @@ impl Config {
         if let SubjectConfig::Synthetic(s) = &self.subject {
             count("subject.scans", s.scans, 2, 1000)?;
             count("subject.held_out", s.held_out, 0, s.scans - 1)?;
-            not_negative("subject.noise_m", s.noise_m)?;
             resolution("subject.resolution_m", s.resolution_m)?;
+            s.check()?;
+            let reads = self.segmenter.as_ref().and_then(|table| table.table().get("type")).and_then(|t| t.as_str());
+            if !s.rig.labels && reads == Some("vertex") {
+                let problem = "false, but the segmenter `vertex` reads the labels that scans carry";
+                return Err(Error::config("subject.rig.labels", problem, "give true, or choose another segmenter"));
+            }
         }
         count("views.count", self.views.count, 1, 10_000)?;
         count("views.size", self.views.size, 16, 16_384)?;
@@ -182,9 +187,13 @@ impl Config {
         }
         Ok(())
     }
-    /// Clips that are played, with their keys.
+    /// Single clips, with their keys.
     fn played(&self) -> impl Iterator<Item = (&'static str, &ClipConfig)> {
+        let posed = match &self.subject {
+            SubjectConfig::Synthetic(s) => s.clip.as_ref().map(|clip| ("subject.clip", clip)),
+            _ => None,
+        };
         let animate = self.animate.iter().map(|a| ("animate.clip", &a.clip));
-        animate.chain(self.compare.iter().map(|c| ("compare.clip", &c.clip)))
+        posed.into_iter().chain(animate).chain(self.compare.iter().map(|c| ("compare.clip", &c.clip)))
     }
 }

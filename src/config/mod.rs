@@ -6,8 +6,10 @@
 mod check;
 pub(crate) mod place;
 mod silent;
+mod synthetic;
 mod weights;
 
+pub use synthetic::{RestScale, RigConfig, SyntheticConfig, Texture};
 pub use weights::{Ramp, Schedule, TermWeights};
 
 use crate::files::ProjectFiles;
@@ -119,37 +121,6 @@ pub struct DressedConfig {
     /// Shape coefficients of the body; those left out are 0. Default none.
     #[serde(default)]
     pub shape: Vec<f64>,
-}
-
-/// `[subject] type = "synthetic"`
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SyntheticConfig {
-    /// Number of scans.
-    pub scans: usize,
-    /// How many of them are held out, from the end. Default 1.
-    #[serde(default = "one_scan")]
-    pub held_out: usize,
-    /// Standard deviation of the noise on every coordinate [m]. Default 0.5 mm, a good multi-camera rig.
-    #[serde(default = "half_millimetre")]
-    pub noise_m: f64,
-    /// Edge length of the simulated garments [m]; finer than what the pipeline will use. Default 0.018.
-    #[serde(default = "synthetic_resolution")]
-    pub resolution_m: f64,
-    /// The true fabric of the upper garment.
-    pub upper_material: PluginTable,
-    /// The true fabric of the lower garment.
-    pub lower_material: PluginTable,
-}
-
-fn one_scan() -> usize {
-    1
-}
-fn half_millimetre() -> f64 {
-    0.5e-3
-}
-fn synthetic_resolution() -> f64 {
-    0.018
 }
 
 /// `[subject] type = "scans"`

@@ -1,6 +1,8 @@
 //! Settings that another setting switches off: a value that somebody chose and that changes nothing is refused.
 
-use super::{Config, FinetuneConfig, GarmentConfig, OptimiseConfig, SubjectConfig, TrainConfig, ViewsConfig, thirty};
+use super::{
+    Config, FinetuneConfig, GarmentConfig, OptimiseConfig, RigConfig, SubjectConfig, TrainConfig, ViewsConfig, thirty,
+};
 use caphy_bodymodel::registration::RegistrationSettings;
 use caphy_core::{Error, Result};
 use serde::Serialize;
@@ -79,6 +81,11 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
             silent: &["lower.styles"],
         },
         Rule {
+            holds: matches!(&config.subject, SubjectConfig::Synthetic(s) if s.rig.holes == 0),
+            because: "subject.rig.holes = 0",
+            silent: &["subject.rig.hole_radius_m"],
+        },
+        Rule {
             holds: matches!(config.subject, SubjectConfig::Synthetic(_)),
             because: "subject.type = \"synthetic\", whose truth is known",
             silent: &["evaluate.ground_truth"],
@@ -125,6 +132,7 @@ fn default_of(path: &str) -> Option<toml::Value> {
         "optimise" => table(OptimiseConfig::default()),
         "finetune" => table(FinetuneConfig::default()),
         "views" => table(ViewsConfig::default()),
+        "subject" => Some(toml::Table::from_iter([("rig".to_string(), table(RigConfig::default())?.into())])),
         "registration" => table(RegistrationSettings::default()),
         "upper" | "lower" => {
             Some(toml::Table::from_iter([("styles".to_string(), toml::Value::Integer(thirty() as i64))]))

@@ -86,7 +86,7 @@ pub struct Scans {
     /// In the order of their names.
     pub list: Vec<ScanFile>,
     /// What is known about a generated subject; only evaluation and report look at it.
-    pub truth: Option<synth::Truth>,
+    pub truth: Option<crate::synth::Truth>,
 }
 
 impl StageOutput for Scans {

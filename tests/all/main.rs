@@ -28,3 +28,5 @@ mod record;
 mod scans;
 /// Clothed people that nobody here made.
 mod standin;
+/// Scans of generated people.
+mod synth;

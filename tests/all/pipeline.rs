@@ -238,7 +238,7 @@ fn assert_same_results(out: &Path) {
         assert!(got[&name] == expected[&name], "{name} has other bits");
     }
     // The report also tells times.
-    let folders = ["scans/", "pictures/", "export/"];
+    let folders = ["scans/", "truth/", "pictures/", "export/"];
     let results = |name: &&String| folders.iter().any(|folder| name.starts_with(folder));
     assert!(got.keys().filter(results).eq(expected.keys().filter(results)), "other files");
     for name in expected.keys().filter(results) {

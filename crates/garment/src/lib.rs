@@ -1,4 +1,4 @@
-//! Garment templates, skinning, energies, relaxation and fabric estimation of caphy.
+//! Garment templates, skinning, energies, a reference solver and fabric estimation of caphy.
 //!
 //! A garment is a triangle mesh with a rest state ([`GarmentRest`]). Per frame it is skinned with the body
 //! ([`skinning`], Eq. 2), told about the pose ([`features`]) and judged by the energies of Eqs. 3-12 ([`energy`]).
@@ -9,7 +9,6 @@ pub mod energy;
 pub mod estimate;
 pub mod features;
 pub mod garment;
-pub mod relax;
 pub mod skinning;
 pub mod solver;
 pub mod template;

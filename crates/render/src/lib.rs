@@ -1,12 +1,13 @@
 //! A small z-buffer renderer for label views and for pictures.
 //!
 //! [`cameras`] places the eyes, [`raster`] draws unshaded colour, depth and triangle ids (what a segmenter sees),
-//! [`shade`] draws shaded [`Picture`]s of several meshes (what people see), [`sheet`] puts pictures side by side,
+//! [`capture`] makes scans of surfaces, [`shade`] draws shaded [`Picture`]s of several meshes (what people see), [`sheet`] puts pictures side by side,
 //! [`colours`] turns fields into colours, [`rgb`] holds the pixels and encodes PNG.
 //!
 //! Everything is deterministic: the same input gives the same bytes on any number of threads.
 
 pub mod cameras;
+pub mod capture;
 pub mod colours;
 mod font;
 pub mod raster;

@@ -1,7 +1,6 @@
 //! Limited-memory BFGS steps on the forces of one pose: what comes before Newton's steps, and what large garments are left with.
 //!
-//! The rules are those of [`crate::relax`], which brings many poses to rest at once; here vectors are flat, so that a step costs
-//! little more than its forces.
+//! A step costs little more than its forces.
 
 use super::vector::{add_scaled, dot, largest, moved};
 use caphy_core::{Error, Result};

@@ -41,6 +41,9 @@ pub(super) struct Newton {
     shift: f64,
     exact: Patience,
     unsymmetric: Patience,
+    /// σ that last made a step with the unsymmetric derivative bring forces down: one vertex at a kink of its table is helped while a
+    /// soft mode of the rest is left for later.
+    unsymmetric_shift: f64,
     pub(super) iterations: usize,
     pub(super) factorisations: usize,
     pub(super) damped: usize,
@@ -81,6 +84,7 @@ impl Newton {
             shift: 0.0,
             exact: Patience::default(),
             unsymmetric: Patience { wait: 3, failures: 0 },
+            unsymmetric_shift: 0.0,
             iterations: 0,
             factorisations: 0,
             damped: 0,
@@ -292,27 +296,41 @@ impl Newton {
     ) -> Result<bool> {
         solver.release();
         workspace.tangent(solver, prepared, frozen, x, Tangent::Exact, &mut self.matrix)?;
-        let Some(factor) = self.factorise(solver, Kind::Lu)? else { return Ok(false) };
-        let mut d = factor.solve(g);
-        if factor.replaced_pivots > 0 {
-            let rest: Vec<f64> = self.matrix.multiply(&d).iter().zip(g).map(|(a, b)| b - a).collect();
-            d.iter_mut().zip(factor.solve(&rest)).for_each(|(d, more)| *d += more);
-        }
-        let d = negative(d);
-        let reach = largest(&d).0;
-        if reach > solver.settings.max_move_m || reach.is_nan() {
-            return Ok(false);
-        }
+        let masses = &solver.rest.vertex_masses;
         let before = dot(g, g).sqrt();
         let mut ahead = Vec::new();
-        for step in [1.0, 0.5, 0.25, 0.125] {
-            let trial = moved(x, step, &d);
-            workspace.evaluate(solver, prepared, frozen, &trial, Some(&mut ahead))?;
-            if dot(&ahead, &ahead).sqrt() < before * (1.0 - 0.3 * step) {
-                *x = trial;
-                return Ok(true);
+        let (mut within, mut shift) = (0.0, self.unsymmetric_shift);
+        for _ in 0..SHIFTS {
+            let more = shift - within;
+            self.matrix.add_diagonal(masses.iter().map(|m| m * more));
+            within = shift;
+            if let Some(factor) = self.factorise(solver, Kind::Lu)? {
+                let mut d = factor.solve(g);
+                if factor.replaced_pivots > 0 {
+                    let rest: Vec<f64> = self.matrix.multiply(&d).iter().zip(g).map(|(a, b)| b - a).collect();
+                    d.iter_mut().zip(factor.solve(&rest)).for_each(|(d, more)| *d += more);
+                }
+                let d = negative(d);
+                if largest(&d).0 <= solver.settings.max_move_m {
+                    for step in [1.0, 0.5, 0.25, 0.125] {
+                        let trial = moved(x, step, &d);
+                        workspace.evaluate(solver, prepared, frozen, &trial, Some(&mut ahead))?;
+                        if dot(&ahead, &ahead).sqrt() < before * (1.0 - 0.3 * step) {
+                            *x = trial;
+                            let smallest = self.smallest_damping / 64.0;
+                            self.unsymmetric_shift = if shift > smallest && step == 1.0 { 0.25 * shift } else { shift };
+                            if self.unsymmetric_shift < smallest {
+                                self.unsymmetric_shift = 0.0;
+                            }
+                            self.damped += usize::from(shift > 0.0);
+                            return Ok(true);
+                        }
+                    }
+                }
             }
+            shift = (8.0 * shift).max(self.smallest_damping / 16.0);
         }
+        self.unsymmetric_shift = shift.min(64.0 * self.smallest_damping);
         Ok(false)
     }
 }

@@ -1,0 +1,201 @@
+//! The person as a capture rig sees them: one outer surface with its own triangles, colours, noise and holes.
+
+use super::{Person, Worn};
+use crate::config::{RigConfig, Texture};
+use crate::scene::label_of;
+use caphy_core::pose::Pose;
+use caphy_core::query::{NearestGrid, NearestSurface, boundary_loops};
+use caphy_core::scan::{Label, Scan};
+use caphy_core::{Result, TriMesh, Vec3, mesh};
+use caphy_garment::template::BodyRest;
+use caphy_render::capture::{Origin, Rig};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::Rng;
+
+/// A scan and what is true of it.
+#[derive(Debug, Clone)]
+pub struct Scanned {
+    /// The scan; with labels where the rig is told to store them.
+    pub scan: Scan,
+    /// The true label of every vertex.
+    pub labels: Vec<Label>,
+    /// Joints of the body [m].
+    pub joints: Vec<Vec3>,
+}
+
+/// What is under cloth gives way by this [m]: contact holds off the cloth's vertices, and skin would show through the triangles
+/// between them. It is not seen anyway.
+const GIVES_WAY: f64 = 8e-3;
+/// From a garment's border inwards over this distance [m].
+const BORDER: f64 = 0.03;
+/// Skin is under cloth that is nearer than this [m].
+const UNDER: f64 = 0.06;
+
+/// Scans a person in a pose.
+///
+/// # Errors
+/// Of the body and of the rig.
+pub fn scan(
+    rig: &RigConfig,
+    person: &Person,
+    pose: &Pose,
+    worn: &Worn,
+    name: &str,
+    rng: &mut ChaCha8Rng,
+) -> Result<Scanned> {
+    let posed = person.body.forward(&person.subject.posed(pose))?;
+    let skin = TriMesh { vertices: posed.vertices, faces: person.body.describe().faces.clone() };
+    // Body first, then garments from inside out.
+    let mut layers = vec![(skin, Label::Body)];
+    for (garment, shape) in person.garments.iter().zip(&worn.shapes).rev() {
+        let cloth = TriMesh { vertices: shape.clone(), faces: garment.mesh.faces.clone() };
+        for (layer, _) in &mut layers {
+            give_way(layer, &cloth)?;
+        }
+        layers.push((cloth, label_of(garment.kind)));
+    }
+    let parts: Vec<&TriMesh> = layers.iter().map(|l| &l.0).collect();
+    let fused = Rig { cameras: rig.cameras, pixels: rig.pixels, cell_m: rig.edge_m }.capture(&parts)?;
+
+    let paint = Paint::new(person, rig.texture, &layers)?;
+    let mut surface = fused.mesh;
+    let colours: Vec<[u8; 3]> = fused.origins.iter().map(|origin| paint.colour(origin, rng)).collect();
+    let labels: Vec<Label> = fused.origins.iter().map(|origin| layers[origin.part as usize].1).collect();
+    let normals = surface.vertex_normals();
+    let keep = without_holes(&surface, rig, rng);
+    for (v, n) in surface.vertices.iter_mut().zip(&normals) {
+        *v += n * (rig.noise_m * normal(rng));
+    }
+    let (mesh, old) = surface.submesh(&keep);
+    let labels: Vec<Label> = old.iter().map(|&v| labels[v as usize]).collect();
+    let colours = Some(old.iter().map(|&v| colours[v as usize]).collect());
+    let stored = rig.labels.then(|| labels.clone());
+    Ok(Scanned { scan: Scan { name: name.into(), mesh, colours, labels: stored }, labels, joints: posed.joints })
+}
+
+/// Moves what lies under cloth inwards.
+fn give_way(inner: &mut TriMesh, cloth: &TriMesh) -> Result<()> {
+    let surface = NearestSurface::from_mesh(cloth)?;
+    let border: Vec<Vec3> =
+        boundary_loops(&cloth.faces).into_iter().flatten().map(|v| cloth.vertices[v as usize]).collect();
+    let grid = NearestGrid::from_points(&border);
+    let normals = inner.vertex_normals();
+    for (p, n) in inner.vertices.iter_mut().zip(&normals) {
+        let Some(found) = surface.nearest_within(p, UNDER * UNDER) else { continue };
+        let near = found.squared_distance.sqrt();
+        let edge = grid.nearest_point(p).map_or(f64::INFINITY, |(_, square)| square.sqrt());
+        // Beside a garment its nearest point is the border itself.
+        let share = ((edge - near) / BORDER).clamp(0.0, 1.0);
+        *p -= n * (GIVES_WAY * share);
+    }
+    Ok(())
+}
+
+/// Vertices outside of all holes.
+fn without_holes(surface: &TriMesh, rig: &RigConfig, rng: &mut ChaCha8Rng) -> Vec<bool> {
+    let mut keep = vec![true; surface.vertices.len()];
+    for _ in 0..rig.holes {
+        let at = uniform(rng, 0.0, surface.vertices.len() as f64) as usize;
+        let Some(centre) = surface.vertices.get(at) else { continue };
+        for (keep, v) in keep.iter_mut().zip(&surface.vertices) {
+            *keep &= (v - centre).norm() > rig.hole_radius_m;
+        }
+    }
+    keep
+}
+
+/// Colours of all layers.
+struct Paint<'a> {
+    layers: &'a [(TriMesh, Label)],
+    /// Normals of each layer as posed.
+    normals: Vec<Vec<Vec3>>,
+    /// Vertices of each layer in the T-pose [m]: where patterns lie.
+    rest: Vec<Vec<Vec3>>,
+    /// Body vertices with hair, and with shoes.
+    hair: Vec<bool>,
+    shoes: Vec<bool>,
+    texture: Texture,
+}
+
+/// sRGB.
+type Colour = [f64; 3];
+const SKIN: Colour = [205.0, 160.0, 134.0];
+const HAIR: Colour = [70.0, 52.0, 40.0];
+const SHOES: Colour = [150.0, 148.0, 150.0];
+const SHIRT: [Colour; 2] = [[46.0, 84.0, 140.0], [120.0, 165.0, 205.0]];
+const TROUSERS: [Colour; 2] = [[70.0, 66.0, 62.0], [98.0, 90.0, 58.0]];
+/// Period of stripes and checks [m].
+const PERIOD: f64 = 0.06;
+/// Where the light comes from, and its share.
+const LIGHT: [f64; 3] = [0.35, 0.8, 0.5];
+const LIGHT_SHARE: f64 = 0.4;
+/// Mottling of dyed cloth and skin, as a share.
+const MOTTLE: f64 = 0.04;
+
+impl<'a> Paint<'a> {
+    fn new(person: &Person, texture: Texture, layers: &'a [(TriMesh, Label)]) -> Result<Self> {
+        let body = person.body.describe();
+        let body_rest = BodyRest::from_model(&*person.body, &person.subject)?;
+        let strongest =
+            |v: usize| body.weights.row(v).fold((0, 0.0), |best, (j, w)| if w > best.1 { (j, w) } else { best }).0;
+        let named = |v: usize, names: &[&str]| {
+            let name = body.joints[strongest(v)].name.as_str();
+            names.iter().any(|n| name.ends_with(n))
+        };
+        let head = body_rest.joints[caphy_core::pose::smplx_joint("head").unwrap_or(0)];
+        let crown = body_rest.mesh.vertices.iter().map(|v| v.y).fold(f64::NEG_INFINITY, f64::max);
+        let count = body_rest.mesh.vertices.len();
+        let hair = (0..count).map(|v| {
+            let p = body_rest.mesh.vertices[v] - head;
+            // Above a slanted line from the brow down to the nape.
+            named(v, &["head", "jaw"]) && p.y > 0.55 * (crown - head.y) + 0.9 * p.z.min(0.1)
+        });
+        let shoes = (0..count).map(|v| named(v, &["ankle", "foot"]));
+        let (hair, shoes) = (hair.collect(), shoes.collect());
+        let mut rest = vec![body_rest.mesh.vertices];
+        rest.extend(person.templates.iter().rev().map(|t| t.mesh.vertices.clone()));
+        let normals = layers.iter().map(|(m, _)| mesh::vertex_normals(&m.vertices, &m.faces)).collect();
+        Ok(Self { layers, normals, rest, hair, shoes, texture })
+    }
+
+    fn colour(&self, origin: &Origin, rng: &mut ChaCha8Rng) -> [u8; 3] {
+        let part = origin.part as usize;
+        let (surface, label) = &self.layers[part];
+        let face = surface.faces[origin.face as usize].map(|v| v as usize);
+        let mixed =
+            |values: &[Vec3]| -> Vec3 { face.iter().zip(&origin.barycentric).map(|(&v, w)| values[v] * *w).sum() };
+        let share =
+            |of: &[bool]| -> f64 { face.iter().zip(&origin.barycentric).filter(|(v, _)| of[**v]).map(|b| b.1).sum() };
+        let patterned = self.texture == Texture::Patterned;
+        let at = mixed(&self.rest[part]);
+        let stripe = |x: f64| usize::from(x.rem_euclid(PERIOD) < 0.5 * PERIOD);
+        let base = match label {
+            Label::Upper => SHIRT[if patterned { stripe(at.y) } else { 0 }],
+            Label::Lower => TROUSERS[if patterned { stripe(at.y) ^ stripe(at.x) } else { 0 }],
+            _ if patterned && share(&self.hair) > 0.5 => HAIR,
+            _ if patterned && share(&self.shoes) > 0.5 => SHOES,
+            _ => SKIN,
+        };
+        let lit = if patterned {
+            let normal = mixed(&self.normals[part]).try_normalize(0.0).unwrap_or_else(Vec3::y);
+            let towards = normal.dot(&Vec3::from(LIGHT).normalize());
+            // Wrapped around, as under a sky.
+            1.0 - LIGHT_SHARE * (0.5 - 0.5 * towards)
+        } else {
+            1.0
+        };
+        let shade = lit * (1.0 + MOTTLE * normal(rng));
+        base.map(|c| (c * shade).clamp(0.0, 255.0) as u8)
+    }
+}
+
+/// A number in [a, b).
+pub(super) fn uniform(rng: &mut ChaCha8Rng, a: f64, b: f64) -> f64 {
+    a + (b - a) * (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// A standard normal number (Box-Muller).
+pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    let (u, v) = (uniform(rng, f64::MIN_POSITIVE, 1.0), uniform(rng, 0.0, std::f64::consts::TAU));
+    (-2.0 * u.ln()).sqrt() * v.cos()
+}
