@@ -107,7 +107,7 @@ fn one() -> u64 {
 #[serde(tag = "type", rename_all = "lowercase", deny_unknown_fields)]
 pub enum SubjectConfig {
     /// A generated person with known shape, style and fabric: scans are made first, then read like any other.
-    Synthetic(SyntheticConfig),
+    Synthetic(Box<SyntheticConfig>),
     /// A folder of PLY or OBJ scans.
     Scans(ScansConfig),
     /// Nobody's scans: a body of a given shape in given garments, whose nets learn from physics alone.
