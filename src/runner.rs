@@ -190,10 +190,14 @@ impl Run {
             }
             SubjectConfig::Synthetic(synthetic) => {
                 let synthetic = synthetic.clone();
-                let key = part(&["subject", "body"]);
+                // Poses of a clip depend on the rate that it is resampled to.
+                let key = part(&["subject", "body", "motion.fps"]);
                 scans = self.stage("synth", &key, "", |cx| stage::synth::run(cx, &synthetic))?.0;
                 for scan in &mut scans.list {
                     scan.path = self.folder.join(&scan.path);
+                }
+                if !self.plan.has("preprocess") {
+                    return Ok(String::new());
                 }
                 self.preprocess(&part(&[&PREPROCESSING, &templates[..]].concat()), &scans)?
             }

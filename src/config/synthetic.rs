@@ -87,7 +87,7 @@ pub enum Texture {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RigConfig {
-    /// Cameras, spread evenly over all directions. Default 32.
+    /// Cameras all around, from a little below level to high above. Default 32.
     pub cameras: usize,
     /// Width and height of a depth image [pixels]. Default 512: 4 mm on a person.
     pub pixels: usize,
