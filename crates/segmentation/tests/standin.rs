@@ -72,32 +72,25 @@ fn stand_in_scans_get_their_labels_back() {
                 scan.name,
                 100.0 * share
             );
-            // How far the border has moved: from each wrong vertex to the nearest that truly has its label.
-            let mut moved: Vec<f64> = Label::ALL
-                .into_iter()
-                .flat_map(|label| {
+            // How far the border has moved where it is seen: from each wrong vertex to the nearest that truly has its label. What no
+            // view shows (skin under a cuff) is a guess from its neighbours.
+            let moved = |seen: bool| {
+                let farthest = Label::ALL.into_iter().flat_map(|label| {
                     let own: Vec<_> =
                         (0..truth.len()).filter(|&v| truth[v] == label).map(|v| scan.mesh.vertices[v]).collect();
                     let grid = NearestGrid::from_points(&own);
-                    let wrong = (0..truth.len()).filter(|&v| fusion.labels[v] == label && truth[v] != label);
-                    wrong
-                        .filter_map(|v| grid.nearest_point(&scan.mesh.vertices[v]))
-                        .map(|n| n.1.sqrt())
-                        .collect::<Vec<_>>()
-                })
-                .collect();
-            moved.sort_by(f64::total_cmp);
-            let most = moved.last().copied().unwrap_or(0.0);
-            println!("  borders moved by at most {:.1} mm", 1e3 * most);
+                    let wrong = |v: &usize| fusion.labels[*v] == label && truth[*v] != label && fusion.seen[*v] == seen;
+                    let ids: Vec<usize> = (0..truth.len()).filter(wrong).collect();
+                    ids.into_iter().filter_map(move |v| grid.nearest_point(&scan.mesh.vertices[v])).map(|n| n.1.sqrt())
+                });
+                farthest.fold(0.0, f64::max)
+            };
+            println!("  borders moved by at most {:.1} mm, unseen {:.1} mm", 1e3 * moved(true), 1e3 * moved(false));
             // The project's requirements: 99 % of all vertices, borders within 8 mm; each garment must reach 95 % by itself, too.
             assert!(share >= 0.99, "{} {name}: {share}", scan.name);
-            let near = moved.partition_point(|d| *d <= 0.008) as f64;
-            assert!(
-                near >= 0.95 * moved.len() as f64,
-                "{} {name}: {near} of {} wrong vertices are near",
-                scan.name,
-                moved.len()
-            );
+            // The border runs between vertices: the nearest of a label lies half an edge behind it.
+            let edge = scan.mesh.mean_edge_length();
+            assert!(moved(true) <= 0.008 + 0.5 * edge, "{} {name}: a border moved by {} m", scan.name, moved(true));
             for l in 0..3 {
                 let own = confusion[l][l] as f64 / confusion[l].iter().sum::<usize>() as f64;
                 assert!(own >= 0.95, "{} {name}, label {l}: {own}", scan.name);
