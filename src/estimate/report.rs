@@ -19,6 +19,8 @@ const STRETCHES: usize = 33;
 const SIZE: [usize; 2] = [420, 420];
 /// Distance that takes the last colour, in standard deviations of the scan's noise.
 const LAST_COLOUR: f64 = 5.0;
+/// How far the scan is drawn behind where it is [m].
+const BEHIND_M: f64 = 0.01;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}\
 h1,h2{font-weight:600}h2{margin-top:2em;border-bottom:1px solid #ddd}img{max-width:48%}\
@@ -246,7 +248,11 @@ fn poses(html: &mut String, folder: &Path, problem: &Problem, summary: &Summary)
         for (side, from) in [("front", &FRONT), ("back", &BACK)] {
             let camera = frame(bounds, from, Projection::Orthographic, SIZE[0], SIZE[1]);
             let mut picture = Picture::new(camera, vec![Layer::per_vertex(&simulated, &colours)]);
-            picture.layers.push(Layer::uniform(&scan, [190, 190, 190]));
+            // Two surfaces half a millimetre apart hide each other in patches: the scan steps back.
+            let back = from.normalize() * BEHIND_M;
+            let behind =
+                TriMesh { vertices: scan.vertices.iter().map(|p| p - back).collect(), faces: scan.faces.clone() };
+            picture.layers.push(Layer::uniform(&behind, [190, 190, 190]));
             let drawn: Rgb = picture.draw();
             let name = format!("pictures/pose-{i:02}-{side}.png");
             write_atomically(&folder.join(&name), &png(&drawn)?)?;
