@@ -49,8 +49,7 @@ pub struct Captured {
 /// A vertex belongs to a surface that is seen up to this distance [cells]; farther ones close gaps that no camera looks into.
 pub const LARGEST_ERROR: f64 = 0.35;
 
-/// Sines of the elevations between which cameras stand: a little below level, as far up as a scaffold goes. Nobody looks up a shirt, or
-/// sees soles that are stood on.
+/// Sines of the elevations between which cameras stand: a little below level, as far up as a scaffold goes. Nobody looks up a shirt.
 pub const LOWEST: f64 = -0.25;
 /// See [`LOWEST`].
 pub const HIGHEST: f64 = 0.85;
@@ -360,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sphere_is_captured_outward_on_its_surface_and_open_below() {
+    fn a_sphere_is_captured_whole_outward_and_on_its_surface() {
         let ball = sphere(Vec3::new(0.1, 0.9, -0.2), 0.3, 60);
         let captured = RIG.capture(&[&ball]).unwrap();
         let (mesh, centre) = (&captured.mesh, Vec3::new(0.1, 0.9, -0.2));
@@ -368,28 +367,21 @@ mod tests {
             assert!((r - 0.3).abs() < SAG, "{r}");
         }
         let (inner, bad) = hinges(&mesh.faces);
-        assert!(bad.is_empty() && 3 * mesh.faces.len() > 2 * inner.len(), "a manifold with a border");
-        let pieces = caphy_core::query::Adjacency::new(mesh.vertices.len(), &mesh.faces).components().1;
-        assert_eq!(pieces, 1);
+        assert!(bad.is_empty() && 2 * inner.len() == 3 * mesh.faces.len(), "closed");
         for f in 0..mesh.faces.len() {
             let [a, b, c] = mesh.corners(f);
             assert!((b - a).cross(&(c - a)).dot(&(a - centre)) > 0.0, "face {f} looks inward");
         }
-        // The lowest cameras stand at the elevation asin(-0.25) and graze the ball where its normal points √(1 - 0.25²) down: the cap
-        // below is missing, up to what lies between two cameras and a cell.
-        let low = mesh.vertices.iter().map(|v| (v.y - centre.y) / 0.3).fold(0.0, f64::min);
-        let rim = -(1.0 - LOWEST * LOWEST).sqrt();
-        assert!((rim..rim + 0.1).contains(&(low + 1e-9)), "{low} {rim}");
         let area: f64 = mesh.face_areas().iter().sum();
-        let part = area / (4.0 * std::f64::consts::PI * 0.09);
-        assert!((0.94..0.99).contains(&part), "{part}");
+        assert!((area / (4.0 * std::f64::consts::PI * 0.09) - 1.0).abs() < 0.01, "{area}");
         let edge = mesh.mean_edge_length();
         assert!((0.8..1.5).contains(&(edge / RIG.cell_m)), "{edge}");
-        // Each vertex knows where it comes from.
+        // Each vertex knows where it comes from; faces smaller than a pixel, such as those at the poles, may be missed.
+        let pixel = 0.6 / 0.94 / 256.0;
         for (v, origin) in mesh.vertices.iter().zip(&captured.origins) {
             let corners = ball.corners(origin.face as usize);
             let at: Vec3 = corners.iter().zip(&origin.barycentric).map(|(c, w)| c * *w).sum();
-            assert!(origin.part == 0 && (at - v).norm() < SAG);
+            assert!(origin.part == 0 && (at - v).norm() < SAG + pixel);
         }
     }
 
