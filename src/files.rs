@@ -43,12 +43,12 @@ impl ProjectFiles {
         out.push_str(rest);
         Ok(self.base.join(out))
     }
-    /// All files of a folder, sorted by name.
+    /// All files of a folder, sorted by name, as absolute paths.
     ///
     /// # Errors
     /// [`Error::Io`] that names the folder.
     pub fn all(&self, folder: &Path) -> Result<Vec<PathBuf>> {
-        let folder = self.resolve(folder)?;
+        let folder = std::path::absolute(self.resolve(folder)?).map_err(|e| Error::io(folder, "find", e))?;
         let failed = |e| Error::io(&folder, "list", e);
         let mut found = Vec::new();
         for entry in std::fs::read_dir(&folder).map_err(failed)? {
@@ -84,6 +84,12 @@ mod tests {
         let text = files.resolve(Path::new("${CAPHY_NOT_SET}/a")).unwrap_err().to_string();
         assert!(text.contains("CAPHY_NOT_SET"), "{text}");
         assert_eq!(files.resolve(Path::new("a/b")).unwrap(), Path::new("/nowhere/a/b"));
+        // What a listing gives can be read, wherever the program was started: `src` of this crate, from a relative base.
+        let relative = ProjectFiles::new("src");
+        for listed in [relative.all(Path::new("stage")), relative.list(Path::new("stage"), &["rs"])] {
+            let listed = listed.unwrap();
+            assert!(listed.iter().all(|file| relative.read(file).is_ok()) && listed.len() > 5);
+        }
         assert!(files.read(Path::new("x.ply")).unwrap_err().to_string().contains("/nowhere/x.ply"));
     }
 }

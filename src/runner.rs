@@ -194,7 +194,9 @@ impl Run {
                 let key = part(&["subject", "body", "motion.fps"]);
                 scans = self.stage("synth", &key, "", |cx| stage::synth::run(cx, &synthetic))?.0;
                 for scan in &mut scans.list {
-                    scan.path = self.folder.join(&scan.path);
+                    // Absolute: what reads scans puts relative paths behind the configuration's folder.
+                    let path = self.folder.join(&scan.path);
+                    scan.path = std::path::absolute(&path).map_err(|e| Error::io(&path, "find", e))?;
                 }
                 if !self.plan.has("preprocess") {
                     return Ok(String::new());
@@ -416,7 +418,7 @@ pub(crate) fn input_hashes(files: &ProjectFiles, key: &[serde_json::Value]) -> R
         let resolved = files.resolve(&path)?;
         if resolved.is_dir() {
             // Whatever lies there: a new file counts as a change, too.
-            for file in files.all(&resolved)? {
+            for file in files.all(&path)? {
                 let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
                 hashes.push(name + &artifact::hash(&files.read(&file)?));
             }
