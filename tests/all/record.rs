@@ -296,9 +296,13 @@ fn a_value_that_is_no_number_is_named_by_term_triangle_and_frame() {
         }
     }
     all.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let (most, triangle, frame) = all[0];
+    let most = all[0].0;
     let second = all.iter().find(|other| other.0 < most - 1e-5).expect("smaller strains").0;
     let strain = (0.5 * (most + second)) as f32;
+    // Usually one; frames that follow each other may be as good as equal.
+    let torn: Vec<(usize, usize)> =
+        all.iter().filter(|one| one.0 > f64::from(strain)).map(|&(_, triangle, frame)| (triangle, frame)).collect();
+    assert!(torn.len() < 8, "{torn:?}");
     let inner = stage.config.upper.as_ref().expect("a garment").material.material("upper.material").expect("a fabric");
     let contact = scene.contact(fitted).expect("a contact map");
     let tearing = Arc::new(Tearing { inner, strain });
@@ -320,12 +324,16 @@ fn a_value_that_is_no_number_is_named_by_term_triangle_and_frame() {
     let mut trainee = Alone { pupil, config, scheduled: true };
     let Err(error) = learn(&mut trainee, plan) else { panic!("no number is no result") };
     let said = error.to_string();
-    // The same frame may be in several windows; its triangle is the one.
-    let place = names.long(frame, false);
-    assert!(place.starts_with("frame ") && place.contains("of clip `"), "{place}");
-    for word in ["step 0", "energy `strain` of upper", "NaN", &format!("at triangle {triangle} (vertices "), &place] {
+    for word in ["step 0", "energy `strain` of upper", "NaN"] {
         assert!(said.contains(word), "`{word}` is missing in: {said}");
     }
+    // The same frame may be in several windows; its triangle is the one.
+    let named = torn.iter().find(|(triangle, frame)| {
+        let place = names.long(*frame, false);
+        assert!(place.starts_with("frame ") && place.contains("of clip `"), "{place}");
+        said.contains(&format!("at triangle {triangle} (vertices ")) && said.contains(&place)
+    });
+    let (triangle, _) = named.unwrap_or_else(|| panic!("none of {torn:?} is named in: {said}"));
     // Every attempt is on record.
     let lines = stage.lines("upper");
     assert_eq!(lines.len(), 6);
