@@ -24,6 +24,7 @@ pub mod plugins;
 pub mod probe;
 pub mod progress;
 pub mod quality;
+mod random;
 pub mod runner;
 pub mod scene;
 pub mod show;

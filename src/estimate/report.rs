@@ -4,6 +4,7 @@ use super::run::{Estimated, Summary, with_values};
 use crate::artifact::write_atomically;
 use crate::pictures::{BACK, FRONT};
 use crate::plot::{self, Axes, Curve, escape, lines, number};
+use crate::stage::report::table;
 use caphy_core::material::{MaterialModel, MembraneBlock, MembraneCall};
 use caphy_core::query::NearestSurface;
 use caphy_core::{Result, TriMesh, Vec3, mesh};
@@ -51,17 +52,6 @@ pub(super) fn write(folder: &Path, problem: &Problem, summary: &Summary, fabrics
     poses(&mut html, folder, problem, summary)?;
     html.push_str("</html>");
     write_atomically(&summary.page, html.as_bytes())
-}
-
-fn table(html: &mut String, head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
-    let cells =
-        |tag: &str, row: &[String]| -> String { row.iter().map(|c| format!("<{tag}>{}</{tag}>", escape(c))).collect() };
-    let head: Vec<String> = head.iter().map(|h| h.to_string()).collect();
-    let _ = write!(html, "<table><tr>{}</tr>", cells("th", &head));
-    for row in rows {
-        let _ = write!(html, "<tr>{}</tr>", cells("td", &row));
-    }
-    html.push_str("</table>");
 }
 
 fn values(html: &mut String, summary: &Summary) {

@@ -1,12 +1,13 @@
 //! Variations of recorded motion: little motion is learnt by heart, and what a net then makes of other motion is worse the longer it
 //! learns.
 
+use crate::random::{normal, uniform};
 use caphy_core::motion::MotionClip;
 use caphy_core::pose::{Pose, SMPLX_JOINTS, smplx_joint};
 use caphy_core::{Error, Result, Vec3};
 use nalgebra::UnitQuaternion;
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
+use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
@@ -64,12 +65,12 @@ impl MotionVariation {
         let mut rng = ChaCha8Rng::seed_from_u64(seed ^ 0x7a61_5269);
         rng.set_stream((clip as u64) << 32 | copy as u64);
         let source = &clips[clip];
-        let pace = between(&mut rng, -1.0, 1.0);
+        let pace = uniform(&mut rng, -1.0, 1.0);
         let fps = source.fps * self.tempo.powf(pace);
-        let mirrored = between(&mut rng, 0.0, 1.0) < 0.5;
-        let other = &clips[((between(&mut rng, 0.0, 1.0) * clips.len() as f64) as usize).min(clips.len() - 1)];
-        let start = between(&mut rng, 0.0, 1.0) * other.duration();
-        let borrows = between(&mut rng, 0.0, 1.0) < 0.5;
+        let mirrored = uniform(&mut rng, 0.0, 1.0) < 0.5;
+        let other = &clips[((uniform(&mut rng, 0.0, 1.0) * clips.len() as f64) as usize).min(clips.len() - 1)];
+        let start = uniform(&mut rng, 0.0, 1.0) * other.duration();
+        let borrows = uniform(&mut rng, 0.0, 1.0) < 0.5;
         let turns: Vec<[Turn; 3]> = SMPLX_JOINTS
             .iter()
             .map(|name| {
@@ -117,8 +118,8 @@ impl Turn {
     fn draw(rng: &mut ChaCha8Rng, amplitude: f64) -> Turn {
         // Everything is drawn, whether it counts or not: one setting does not change what another one draws.
         let size = normal(rng);
-        let frequency = 1.0 / between(rng, PERIODS.0, PERIODS.1);
-        Turn { amplitude: amplitude * size, frequency, phase: between(rng, 0.0, TAU) }
+        let frequency = 1.0 / uniform(rng, PERIODS.0, PERIODS.1);
+        Turn { amplitude: amplitude * size, frequency, phase: uniform(rng, 0.0, TAU) }
     }
     fn at(&self, time: f64) -> f64 {
         if self.amplitude == 0.0 { 0.0 } else { self.amplitude * (TAU * self.frequency * time + self.phase).sin() }
@@ -164,17 +165,6 @@ fn there_and_back(time: f64, duration: f64) -> f64 {
     }
     let t = time.rem_euclid(2.0 * duration);
     if t > duration { 2.0 * duration - t } else { t }
-}
-
-/// A number in [a, b).
-fn between(rng: &mut ChaCha8Rng, a: f64, b: f64) -> f64 {
-    a + (b - a) * (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
-}
-
-/// A standard normal number (Box-Muller).
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    let (u, v) = (between(rng, f64::MIN_POSITIVE, 1.0), between(rng, 0.0, TAU));
-    (-2.0 * u.ln()).sqrt() * v.cos()
 }
 
 #[cfg(test)]

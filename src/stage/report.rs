@@ -151,7 +151,8 @@ fn base64(bytes: &[u8]) -> String {
     out
 }
 
-fn table(html: &mut String, head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
+/// A table with a head, its cells escaped.
+pub(crate) fn table(html: &mut String, head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
     let cells =
         |tag: &str, row: &[String]| -> String { row.iter().map(|c| format!("<{tag}>{}</{tag}>", escape(c))).collect() };
     let head: Vec<String> = head.iter().map(|h| h.to_string()).collect();

@@ -12,7 +12,7 @@ use rand_chacha::rand_core::SeedableRng;
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use super::scanned::{normal, uniform};
+use crate::random::{normal, uniform};
 
 /// A body and its clothes, upper first.
 pub struct Person {

@@ -2,6 +2,7 @@
 
 use super::{Person, Worn};
 use crate::config::{RigConfig, Texture};
+use crate::random::{normal, uniform};
 use crate::scene::label_of;
 use caphy_core::pose::Pose;
 use caphy_core::query::{NearestGrid, NearestSurface, boundary_loops};
@@ -10,7 +11,6 @@ use caphy_core::{Result, TriMesh, Vec3, mesh};
 use caphy_garment::template::BodyRest;
 use caphy_render::capture::{Origin, Rig};
 use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::Rng;
 
 /// A scan and what is true of it.
 #[derive(Debug, Clone)]
@@ -187,15 +187,4 @@ impl<'a> Paint<'a> {
         let shade = lit * (1.0 + MOTTLE * normal(rng));
         base.map(|c| (c * shade).clamp(0.0, 255.0) as u8)
     }
-}
-
-/// A number in [a, b).
-pub(super) fn uniform(rng: &mut ChaCha8Rng, a: f64, b: f64) -> f64 {
-    a + (b - a) * (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
-}
-
-/// A standard normal number (Box-Muller).
-pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    let (u, v) = (uniform(rng, f64::MIN_POSITIVE, 1.0), uniform(rng, 0.0, std::f64::consts::TAU));
-    (-2.0 * u.ln()).sqrt() * v.cos()
 }
