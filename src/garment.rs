@@ -4,6 +4,7 @@ use crate::trainer::CurvePoint;
 use caphy_core::body::BlendWeights;
 use caphy_core::material::MaterialModel;
 use caphy_core::net::NetManifest;
+use caphy_core::units::KilogramPerSquareMetre;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::GarmentRest;
 use caphy_garment::features::PoseFeatures;
@@ -29,6 +30,8 @@ pub struct FittedGarment {
     pub loops: Vec<NamedLoop>,
     /// How the yarn axes were chosen.
     pub grain: String,
+    /// What it weighs [kg], where somebody weighed it.
+    pub mass_kg: Option<f64>,
 }
 
 impl FittedGarment {
@@ -46,7 +49,12 @@ impl FittedGarment {
             loops: template.loops,
             grain: template.grain,
             mesh: template.mesh,
+            mass_kg: None,
         })
+    }
+    /// The same, weighed [g].
+    pub fn weighing(self, mass_g: Option<f64>) -> Self {
+        Self { mass_kg: mass_g.map(|g| 1e-3 * g), ..self }
     }
     /// The template posed by its weights alone [m] (Eq. 2 with dV = 0).
     ///
@@ -67,20 +75,26 @@ impl FittedGarment {
         };
         shape.iter().enumerate().map(move_vertex).collect()
     }
-    /// Rest state when made of a material, waistband held.
+    /// Rest state when made of a material, waistband held; its density that of the garment where it was weighed.
     ///
     /// Errors: [`Error::Config`] for a material without density: static shapes only show stiffness over density.
     pub fn rest(&self, material: &dyn MaterialModel) -> Result<GarmentRest> {
+        let make = |density: KilogramPerSquareMetre| {
+            let name = self.kind.to_string();
+            GarmentRest::new(name, self.mesh.clone(), self.material_uv.clone(), density, self.grain.clone())
+        };
         let description = material.describe();
-        let density = description.density.ok_or_else(|| {
-            Error::config(
-                "material",
-                format!("`{}` has no area density", description.name),
-                "give density_kg_per_m2: weigh the garment and divide by its area",
-            )
-        })?;
-        let name = self.kind.to_string();
-        let rest = GarmentRest::new(name, self.mesh.clone(), self.material_uv.clone(), density, self.grain.clone())?;
+        let rest = match (self.mass_kg, description.density) {
+            (Some(mass), _) => make(KilogramPerSquareMetre(mass / make(KilogramPerSquareMetre(1.0))?.area()))?,
+            (None, Some(density)) => make(density)?,
+            (None, None) => {
+                return Err(Error::config(
+                    "material",
+                    format!("`{}` has no area density", description.name),
+                    "give mass_g, the garment's mass, or density_kg_per_m2",
+                ));
+            }
+        };
         self.loops
             .iter()
             .filter(|l| l.name == "waist")

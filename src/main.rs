@@ -84,7 +84,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Train(arguments) => command::train::run(arguments, &mut plugins),
         Command::Animate(arguments) => command::animate::run(arguments, &plugins),
         Command::Simulate(arguments) => command::simulate::run(arguments, &plugins),
-        Command::Estimate(arguments) => command::estimate::run(arguments, &plugins),
+        Command::Estimate(arguments) => command::estimate::run(arguments, &mut plugins),
         Command::Synth(arguments) => command::synth::run(arguments, &mut plugins),
         Command::Probe(arguments) => command::probe::run(arguments, &plugins),
         Command::Check(arguments) => command::check::run(arguments, &mut plugins),

@@ -26,6 +26,7 @@ pub struct Run {
     dry: bool,
     profile: bool,
     ran: Vec<&'static str>,
+    fabrics: Vec<stage::optimise::Estimates>,
     /// Held until the run is dropped: two processes in one folder would overwrite each other's checkpoints.
     _lock: std::fs::File,
 }
@@ -41,6 +42,8 @@ pub struct Summary {
     pub table: String,
     /// Milliseconds per step by garment and part, of trainings of this run.
     pub profile: Vec<(String, f64)>,
+    /// What was found about the fabrics, one per alternation.
+    pub fabrics: Vec<stage::optimise::Estimates>,
     /// The report, unless the run was narrowed to another stage.
     pub report: Option<PathBuf>,
 }
@@ -115,6 +118,7 @@ impl Run {
             dry: false,
             profile: false,
             ran: Vec::new(),
+            fabrics: Vec::new(),
             _lock: lock,
         })
     }
@@ -142,7 +146,7 @@ impl Run {
         })?;
         let report = self.plan.has("report").then(|| self.folder.join("report.html"));
         let profile = self.timings().into_iter().filter(|(name, _)| name.starts_with(PROFILE)).collect();
-        Ok(Summary { folder: self.folder, ran: self.ran, table: told, profile, report })
+        Ok(Summary { folder: self.folder, ran: self.ran, table: told, profile, fabrics: self.fabrics, report })
     }
 
     /// What the run would do: nothing but the dressing of a subject without scans, which takes seconds, is run.
@@ -171,7 +175,7 @@ impl Run {
         };
         self.config.check_files(&self.files)?;
         // A garment's own tables, without its fabric: another one must not cost another registration.
-        let templates = ["styles", "resolution_m", "template", "weights", "style"]
+        let templates = ["styles", "resolution_m", "template", "weights", "style", "mass_g"]
             .iter()
             .flat_map(|key| [format!("upper.{key}"), format!("lower.{key}")])
             .collect::<Vec<_>>();
@@ -233,7 +237,7 @@ impl Run {
             let (nets, hash) = (nets.clone(), hash.clone());
             let key = part(&["upper", "lower", "body", "net", "train", "optimise"]);
             let (estimate, estimate_hash) =
-                self.stage(name, &key, &hash, |cx| stage::optimise::run(cx, &subject, &nets))?;
+                self.stage(name, &key, &hash, |cx| stage::optimise::run(cx, &subject, &nets, &scans))?;
             if self.plan.has(again) {
                 let key = part(&["upper", "lower", "body", "net", "motion", "train", "optimise"]);
                 let rounds = self.config.optimise.rounds;
@@ -242,7 +246,8 @@ impl Run {
             }
             fabrics.push(estimate);
         }
-        let mut tables = String::new();
+        self.fabrics.clone_from(&fabrics);
+        let mut tables: String = fabrics.iter().map(stage::optimise::Estimates::table).collect();
         let mut compared = None;
         let mut compared_hash = String::new();
         if self.plan.has("reference") {

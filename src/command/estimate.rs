@@ -1,14 +1,16 @@
 //! `caphy estimate`
 
 use super::json;
-use caphy::estimate::{self, Estimated};
+use caphy::estimate;
 use caphy::plugins::Plugins;
+use caphy::runner::Run;
 use caphy_core::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 pub(crate) const EXAMPLES: &str = "Examples:
-  caphy estimate swatch.toml
+  caphy estimate subject.toml                  # an experiment: the garments of its scans, trained first where they are not yet
+  caphy estimate swatch.toml                   # a cloth given by files
   caphy estimate swatch.toml --out fitted --json
 
 swatch.toml:
@@ -26,7 +28,7 @@ Run again after it was killed, it goes on from its last step.";
 
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
-    /// The estimation's TOML file.
+    /// The TOML file of an estimation or of an experiment; the latter's `[optimise]` says how.
     config: PathBuf,
     /// Folder of the results, instead of the file's `out`.
     #[arg(long)]
@@ -36,32 +38,36 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> {
+pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCode> {
+    if estimate::is_experiment(&arguments.config)? {
+        let run = Run::open_with(&arguments.config, arguments.out.clone(), plugins)?.only("optimise")?;
+        let summary = run.all()?;
+        if arguments.json {
+            println!("{}", json(&summary.fabrics)?);
+            return Ok(ExitCode::SUCCESS);
+        }
+        print!("{}", summary.table);
+        for page in summary.fabrics.iter().flat_map(|f| &f.garments).map(|g| summary.folder.join(&g.page)) {
+            println!("Report: {}", page.display());
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
     let summary = estimate::run(&arguments.config, arguments.out.as_deref(), plugins)?;
     if arguments.json {
         println!("{}", json(&summary)?);
         return Ok(ExitCode::SUCCESS);
     }
-    match &summary.estimate {
-        Estimated::Equilibrium(e) => {
-            for u in &e.unknowns {
-                let note = if u.held_by_prior { "  held by the prior" } else { "" };
-                println!("{:24} × {:7.3}  [{:.3}, {:.3}]{note}", u.name, u.multiplier, u.interval[0], u.interval[1]);
-            }
-        }
-        Estimated::Alternation(a) => {
-            for g in &a.last.groups {
-                println!("{:24} × {:7.3}{}", g.name, g.multiplier, if g.excited { "" } else { "  not excited" });
-            }
-        }
+    for f in summary.fabric.estimate.factors() {
+        let interval = f.interval.map(|[low, high]| format!("  [{low:.3}, {high:.3}]")).unwrap_or_default();
+        println!("{:24} × {:7.3}{interval}  {}", f.name, f.factor, f.note);
     }
-    if let Some(first) = summary.nearest.first() {
+    if let Some(first) = summary.fabric.nearest.first() {
         println!("nearest of the ten: {} ({:.0} %)", first.name, 100.0 * first.probability);
     }
     for (pose, coefficient) in &summary.drape_coefficients {
         println!("drape coefficient of {pose}, simulated: {coefficient:.3}");
     }
-    for warning in &summary.warnings {
+    for warning in summary.fabric.estimate.warnings() {
         println!("note: {warning}");
     }
     println!("Report: {}", summary.page.display());

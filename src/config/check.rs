@@ -93,6 +93,7 @@ impl Config {
         for (_, name, garment) in self.garments() {
             count(&format!("{name}.styles"), garment.styles, 1, 100_000)?;
             resolution(&format!("{name}.resolution_m"), garment.resolution_m)?;
+            garment.mass_g.map_or(Ok(()), |mass| positive(&format!("{name}.mass_g"), mass))?;
         }
         for (key, clip) in self.motion.clips.iter().map(|c| ("motion.clips", c)).chain(self.played()) {
             match clip {
@@ -172,14 +173,9 @@ impl Config {
         not_negative("finetune.layering.margin", layering.margin)?;
         not_negative("finetune.layering.reach", layering.reach)?;
         not_negative("finetune.layering.weight", layering.weight)?;
-        not_negative("optimise.force_balance.regularisation", self.optimise.force_balance.regularisation)?;
         not_negative("evaluate.penetration_m", self.evaluate.penetration_m)?;
         positive("finetune.learning_rate", self.finetune.learning_rate)?;
-        let factor = self.optimise.force_balance.largest_factor;
-        if factor.is_nan() || factor < 1.0 {
-            let key = "optimise.force_balance.largest_factor";
-            return Err(Error::config(key, factor.to_string(), "give a number of at least 1"));
-        }
+        self.optimise.check()?;
         if let Some(animate) = &self.animate {
             not_negative("animate.push_out_m", animate.push_out_m)?;
             count("animate.obj_every", animate.obj_every, 1, usize::MAX)?;

@@ -4,11 +4,13 @@
 //! with its reason.
 
 mod check;
+mod optimise;
 pub(crate) mod place;
 mod silent;
 mod synthetic;
 mod weights;
 
+pub use optimise::{EstimatorConfig, Inner, OptimiseConfig, WornAlternation, WornEquilibrium};
 pub use synthetic::{RestScale, RigConfig, SyntheticConfig, Texture};
 pub use weights::{Ramp, Schedule, TermWeights};
 
@@ -20,7 +22,6 @@ use caphy_core::motion::MotionLimits;
 use caphy_core::{Error, Result};
 use caphy_formats::motion::UpAxis;
 use caphy_garment::energy::{ContactOptions, LayeringOptions};
-use caphy_garment::estimate::ForceBalanceSettings;
 use caphy_garment::skinning::WeightOptions;
 use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::GarmentKind;
@@ -62,7 +63,7 @@ pub struct Config {
     /// Training.
     #[serde(default)]
     pub train: TrainConfig,
-    /// Fabric estimation by Eq. 10.
+    /// Fabric estimation.
     #[serde(default)]
     pub optimise: OptimiseConfig,
     /// Collision fine-tuning of both garments.
@@ -207,6 +208,10 @@ impl Default for ViewsConfig {
 pub struct GarmentConfig {
     /// The fabric that training starts from.
     pub material: PluginTable,
+    /// Its mass [g], weighed: sets the area density, without which scans at rest only show stiffness over density. Default: the
+    /// fabric's density.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mass_g: Option<f64>,
     /// Number of styles that are tried as template. Default 30; the paper takes 300.
     #[serde(default = "thirty")]
     pub styles: usize,
@@ -453,24 +458,6 @@ impl Default for TrainConfig {
             contact_with: ContactWith::Vertex,
             weights: TermWeights::default(),
         }
-    }
-}
-
-/// `[optimise]`
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct OptimiseConfig {
-    /// Times that Eq. 10 and training alternate, at most 8. Default 1; 0 keeps the starting fabric.
-    pub alternations: usize,
-    /// λ_reg and bounds of Eq. 10.
-    pub force_balance: ForceBalanceSettings,
-    /// Rounds of training after each alternation. Default 8.
-    pub rounds: usize,
-}
-
-impl Default for OptimiseConfig {
-    fn default() -> Self {
-        Self { alternations: 1, force_balance: ForceBalanceSettings::default(), rounds: 8 }
     }
 }
 

@@ -52,7 +52,7 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
         Rule {
             holds: config.optimise.alternations == 0,
             because: "optimise.alternations = 0",
-            silent: &["optimise.force_balance", "optimise.rounds"],
+            silent: &["optimise.estimator", "optimise.rounds"],
         },
         Rule {
             holds: config.train.scan_epochs == 0 && no_finetuning,

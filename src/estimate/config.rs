@@ -186,6 +186,15 @@ fn eighteen_centimetres() -> f64 {
     0.18
 }
 
+/// Whether a file describes a whole experiment rather than an estimation.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Format`] with line and column.
+pub fn is_experiment(path: &Path) -> Result<bool> {
+    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    Ok(crate::config::parse_table(path, &text)?.contains_key("run"))
+}
+
 impl EstimateConfig {
     /// Reads a file and resolves its material.
     ///

@@ -1,9 +1,16 @@
-//! `caphy estimate`: the fabric of a cloth from scans of it at rest, worn or in the laboratory, by one TOML file.
+//! The fabric of a cloth from scans of it at rest: of garments worn in a run, and of cloths given by files (`caphy estimate`).
 
 mod config;
+mod fit;
+mod found;
 mod input;
-mod report;
+pub(crate) mod report;
 mod run;
+pub(crate) mod worn;
 
-pub use config::{Clamp, ClothConfig, EstimateConfig, Method, PoseConfig, ReductionChoice, SurroundingsConfig};
-pub use run::{Estimated, Summary, run};
+pub use config::{
+    Clamp, ClothConfig, EstimateConfig, Method, PoseConfig, ReductionChoice, SurroundingsConfig, is_experiment,
+};
+pub use fit::{How, Kept, fit, ten_fabrics};
+pub use found::{Estimated, FabricFound, Factor};
+pub use run::{Summary, run};

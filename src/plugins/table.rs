@@ -34,6 +34,11 @@ impl PluginTable {
         Self { table: toml::Table::from_iter([("type".to_string(), toml::Value::from(name))]), library: None }
     }
 
+    /// Whether it chooses a measured fabric.
+    pub(crate) fn is_measured(&self) -> bool {
+        self.table.get("type").and_then(|t| t.as_str()) == Some("measured")
+    }
+
     /// Reads a file that holds one such table and nothing else, and resolves it; `path` is for messages.
     ///
     /// # Errors

@@ -22,7 +22,9 @@ pub fn run(context: &Context<'_>, dressed: &DressedConfig) -> Result<Subject> {
         let style = style(&*source, &tailor, kind, key, settings.style.as_deref())?;
         let template = source.template(&tailor, &style, settings.resolution_m)?;
         let weights = &body.describe().weights;
-        garments.push(FittedGarment::new(template, &surface.vertices, weights, &settings.weights)?);
+        garments.push(
+            FittedGarment::new(template, &surface.vertices, weights, &settings.weights)?.weighing(settings.mass_g),
+        );
     }
     let rest = TriMesh { vertices: surface.vertices, faces: body.describe().faces.clone() };
     let meshes: Vec<TriMesh> = garments.iter().map(|g| g.mesh.clone()).collect();

@@ -376,7 +376,7 @@ fn fabric_scores(context: &Context<'_>, fabrics: &[Estimates], scans: &Scans) ->
     for ((before, after), truth) in first.garments.iter().zip(&last.garments).zip(&truth.garments) {
         let table = &context.config.garment(before.kind)?.material;
         let model = material(table, config_key(before.kind), None)?;
-        if truth.parameters.len() != before.before.len() || truth.kind != before.kind {
+        if truth.parameters.len() != before.fabric.before.len() || truth.kind != before.kind {
             continue;
         }
         let groups = reduction::groups(&*model)
@@ -392,7 +392,7 @@ fn fabric_scores(context: &Context<'_>, fabrics: &[Estimates], scans: &Scans) ->
                     ratios.sort_by(f64::total_cmp);
                     ratios.get(ratios.len() / 2).copied().unwrap_or(f64::NAN)
                 };
-                (group.name.clone(), ratio(&before.before), ratio(&after.estimate.parameters))
+                (group.name.clone(), ratio(&before.fabric.before), ratio(&after.fabric.after))
             })
             .collect();
         out.push(FabricScore { kind: before.kind, groups });

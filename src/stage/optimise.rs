@@ -1,19 +1,21 @@
-//! Fabric from trained garments in scan poses (Sec. 3.4): Eq. 10 as a bounded least-squares problem.
+//! Fabrics of the garments from their scans (Sec. 3.4): by simulated equilibria, or by the paper's alternation.
 
 use super::preprocess::Subject;
 use super::train::{Nets, config_key};
-use super::{Context, StageOutput, material};
-use crate::inference::{Play, play};
-use crate::physics::{Dynamics, Physics};
-use crate::scene::Scene;
-use caphy_core::lanes::Frames;
+use super::{Context, Scans, StageOutput, material};
+use crate::config::{EstimatorConfig, Inner, WornAlternation};
+use crate::estimate::report::{self, drawn};
+use crate::estimate::worn::Wardrobe;
+use crate::estimate::{Estimated, FabricFound, How, Kept, ReductionChoice, fit, ten_fabrics};
+use crate::pictures;
 use caphy_core::material::MaterialModel;
-use caphy_core::{Error, Real, Result};
-use caphy_garment::energy::{BodyState, State};
-use caphy_garment::estimate::{FabricEstimate, force_balance};
-use caphy_garment::skinning::Skinner;
+use caphy_core::{Error, Result};
+use caphy_garment::estimate::{Problem, Reduction, ShapeBalance};
+use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::GarmentKind;
 use serde::{Deserialize, Serialize};
+use std::fmt::Write;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Estimates of all garments.
@@ -23,89 +25,136 @@ pub struct Estimates {
     pub garments: Vec<GarmentFabric>,
 }
 
-impl StageOutput for Estimates {}
+impl StageOutput for Estimates {
+    fn files(&self) -> Vec<PathBuf> {
+        let of =
+            |g: &GarmentFabric| g.picture.iter().map(|p| p.file.clone()).chain([g.page.clone()]).collect::<Vec<_>>();
+        self.garments.iter().flat_map(of).collect()
+    }
+}
 
 /// The estimate of one garment's fabric.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct GarmentFabric {
     /// Upper or lower.
     pub kind: GarmentKind,
-    /// Native parameters before.
-    pub before: Vec<f64>,
-    /// What Eq. 10 says.
-    pub estimate: FabricEstimate,
+    /// What was found.
+    pub fabric: FabricFound,
+    /// Simulated garments over their scans, where the estimator makes any.
+    pub picture: Option<FitPicture>,
+    /// A page of its own, relative to the run directory.
+    pub page: PathBuf,
 }
 
-/// Rows of vertices closer to the body than the contact margin plus this are dropped [m]: their forces are not the
-/// fabric's, and the net's error is of this size.
-const CONTACT_SLACK: f64 = 2e-3;
-
-/// Solves Eq. 10 for every garment, each in its trained shapes in the training scans' poses.
-pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets) -> Result<Estimates> {
-    let scene = Scene::new(context, subject)?;
-    let track = scene.scan_track(subject)?;
-    let config = &context.config.train;
-    let mut garments = Vec::new();
-    for (index, (fitted, trained)) in subject.garments.iter().zip(&nets.garments).enumerate() {
-        context.progress.set(index as f64 / subject.garments.len() as f64, &fitted.kind.to_string());
-        let shapes = play(fitted, trained, &context.config.net, &track, Play::Poses)?;
-        // Up to eight poses share a block; every lane of a block must be a pose of its own.
-        let lanes = (1..=<f64 as Real>::LANES).rev().find(|l| shapes.len() % l == 0).unwrap_or(1);
-        let frames: Vec<usize> = (0..shapes.len()).collect();
-        let mut positions = Frames::<f64>::zeros(shapes.len() / lanes, fitted.mesh.vertices.len(), lanes);
-        for (frame, shape) in shapes.iter().enumerate() {
-            positions.set_frame(frame / lanes, frame % lanes, shape)?;
-        }
-        let (body, normals) = track.gather::<f64>(&frames, lanes)?;
-        let nearest = scene.contact(fitted)?.nearest(&positions, &body)?;
-        let table = &context.config.garment(fitted.kind)?.material;
-        let start = material(table, config_key(fitted.kind), trained.material.as_deref())?;
-        let start: Arc<dyn MaterialModel> = Arc::from(start);
-        let rest = fitted.rest(&*start)?;
-        let skinner = Skinner::<f64>::new(&fitted.mesh.vertices, &fitted.weights)?;
-        let transforms = track.transforms(&frames);
-        let joints = skinner.joint_frames(&transforms, lanes)?;
-        let mut physics = Physics::<f64>::new(&rest, start.clone(), &config.contact, trained.fps, &config.weights)?;
-        let held = physics.attachment.vertices().to_vec();
-        let holder = skinner.select(&held)?;
-        let mut targets = Frames::zeros(positions.blocks(), held.len(), lanes);
-        holder.forward(&holder.joint_frames(&transforms, lanes)?, None, &mut targets)?;
-        let state = State::new(&positions)
-            .with_body(BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) })
-            .with_targets(&targets);
-
-        let mut keep = vec![true; shapes.len() * fitted.mesh.vertices.len() * 3];
-        let margin = config.contact.margin + CONTACT_SLACK;
-        for frame in 0..shapes.len() {
-            let (block, lane) = (frame / lanes, frame % lanes);
-            for v in 0..positions.vertices() {
-                let id = nearest[(block * positions.vertices() + v) * <f64 as Real>::LANES + lane] as usize;
-                let gap = positions.get(block, lane, v) - body.get(block, lane, id);
-                if normals.get(block, lane, id).dot(&gap) < margin || held.contains(&(v as u32)) {
-                    let row = (frame * positions.vertices() + v) * 3;
-                    keep[row..row + 3].fill(false);
-                }
+impl Estimates {
+    /// The factors as text.
+    pub fn table(&self) -> String {
+        let mut out = String::new();
+        for GarmentFabric { kind, fabric, .. } in &self.garments {
+            for f in fabric.estimate.factors() {
+                let interval = f.interval.map(|[a, b]| format!("  [{a:.3}, {b:.3}]")).unwrap_or_default();
+                // Writing to a String cannot fail.
+                let _ = writeln!(out, "{kind} {:24} × {:.3}{interval}  {}", f.name, f.factor, f.note);
+            }
+            if let Some(first) = fabric.nearest.first() {
+                let _ = writeln!(out, "{kind} nearest of the ten: {} ({:.0} %)", first.name, 100.0 * first.probability);
             }
         }
-        let gradient = |model: &dyn MaterialModel| -> Result<Vec<f64>> {
-            // The terms want to own their material: a copy with the same parameters.
-            let values: Vec<f64> = model.parameters().iter().map(|p| p.value).collect();
-            physics.set_material(Arc::from(model.with_parameters(&values)?));
-            let mut world = Frames::zeros(positions.blocks(), positions.vertices(), lanes);
-            physics.add(&state, Dynamics::Static, 1.0, Some(&mut world))?;
-            let mut canonical = vec![0.0; keep.len()];
-            skinner.vjp(&joints, &world, &mut canonical)?;
-            Ok(canonical)
+        out
+    }
+}
+
+/// Simulated garments over their scans.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FitPicture {
+    /// Relative to the run directory.
+    pub file: PathBuf,
+    /// Distance that takes the last colour [m].
+    pub last_colour_m: f64,
+}
+
+/// Finds every garment's fabric in the training scans' poses.
+pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets, scans: &Scans) -> Result<Estimates> {
+    let estimator = &context.config.optimise.estimator;
+    let most = match estimator {
+        EstimatorConfig::Equilibrium(e) => e.scans,
+        EstimatorConfig::Alternation(_) => usize::MAX,
+    };
+    let wardrobe = Wardrobe::new(context, subject, nets, scans, most)?;
+    let mut garments = Vec::new();
+    for (index, (fitted, trained)) in subject.garments.iter().zip(&nets.garments).enumerate() {
+        let kind = fitted.kind;
+        let set = |s: f64, m: &str| {
+            context.progress.set((index as f64 + s) / subject.garments.len() as f64, &format!("{kind}: {m}"));
         };
-        let estimate = force_balance(&*start, gradient, &keep, &context.config.optimise.force_balance)?;
-        for warning in &estimate.warnings {
-            context.progress.note(&format!("{}: {warning}", fitted.kind));
-        }
-        let before = start.parameters().iter().map(|p| p.value).collect();
-        garments.push(GarmentFabric { kind: fitted.kind, before, estimate });
+        let note = |line: &str| context.progress.note(&format!("{kind}: {line}"));
+        set(0.0, "");
+        let table = &context.config.garment(kind)?.material;
+        let start: Arc<dyn MaterialModel> = Arc::from(material(table, config_key(kind), trained.material.as_deref())?);
+        let name = format!("checkpoint-{}-{kind}", context.stage);
+        let kept = Kept { folder: context.folder, name: &name, key: context.key };
+        let fabrics = if table.is_measured() { ten_fabrics()? } else { Vec::new() };
+        let simulated = |how: How, choice: ReductionChoice, solver: SolverSettings| -> Result<(FabricFound, Problem)> {
+            let problem = wardrobe.attached(wardrobe.problem(index, start.clone(), solver)?)?;
+            let found = match fit(&problem, &how, choice, &fabrics, &kept, &set, &note) {
+                // A fit that comes to nothing must not end the run.
+                Err(Error::Numerics { what, problem: why, remedy }) => {
+                    let parameters = start.parameters().iter().map(|p| p.value).collect();
+                    let warnings =
+                        vec![format!("the fabric was not found and stays as it was: {what}: {why}; {remedy}")];
+                    FabricFound::new(&problem, Estimated::Kept { parameters, warnings }, Vec::new())
+                }
+                found => found?,
+            };
+            Ok((found, problem))
+        };
+        let (fabric, problem) = match estimator {
+            EstimatorConfig::Equilibrium(e) => simulated(How::Equilibrium(e.fit.clone()), e.reduction, e.solver)?,
+            EstimatorConfig::Alternation(a) => match a.inner {
+                Inner::Solver => simulated(How::Alternation(a.settings()), ReductionChoice::Multipliers, a.solver)?,
+                Inner::Net => {
+                    let problem = wardrobe.problem(index, start, a.solver)?;
+                    (by_net(&problem, &wardrobe, index, a)?, problem)
+                }
+            },
+        };
+        fabric.estimate.warnings().iter().for_each(|warning| note(warning));
+        let shapes = fabric.shapes();
+        let picture = if shapes.is_empty() {
+            None
+        } else {
+            let (pictures, last_colour_m) = drawn(&problem, &shapes)?;
+            let file = PathBuf::from(format!("pictures/{}-{kind}.png", context.stage));
+            context.write(&file.to_string_lossy(), &pictures::sheet(&pictures, 4)?)?;
+            Some(FitPicture { file, last_colour_m })
+        };
+        let page = PathBuf::from(format!("{}-{kind}.html", context.stage));
+        report::write(&context.folder.join(&page), &problem, &fabric, &[], &fabrics)?;
+        garments.push(GarmentFabric { kind, fabric, picture, page });
     }
     if garments.is_empty() {
         return Err(Error::Length { what: "garments".into(), expected: 1, got: 0 });
     }
     Ok(Estimates { garments })
+}
+
+/// One solve of Eq. 10 with the nets' garments held: the paper's step between two trainings.
+fn by_net(
+    problem: &Problem,
+    wardrobe: &Wardrobe<'_>,
+    garment: usize,
+    settings: &WornAlternation,
+) -> Result<FabricFound> {
+    let reduction = Reduction::multipliers(&*problem.material)?;
+    let balance = ShapeBalance {
+        rest: &problem.rest,
+        forces: problem.forces,
+        captures: &problem.captures,
+        gradient: settings.gradient,
+        contact_slack_m: settings.contact_slack_m,
+    };
+    let ones = vec![1.0; reduction.len()];
+    let shapes = wardrobe.shapes(garment);
+    let found = balance.estimate(&*problem.material, &reduction, &ones, shapes, &settings.force_balance)?;
+    Ok(FabricFound::new(problem, Estimated::Net(Box::new(found)), Vec::new()))
 }

@@ -220,7 +220,9 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
         let options = &settings.weights;
         let weights = &body.describe().weights;
         subject.choices.push(choice);
-        subject.garments.push(FittedGarment::new(template, &rest_vertices, weights, options)?);
+        subject
+            .garments
+            .push(FittedGarment::new(template, &rest_vertices, weights, options)?.weighing(settings.mass_g));
     }
     progress.set(0.95, "pictures");
     subject.pictures = draw(context, &*body, &subject_body, &subject, scans)?;

@@ -3,14 +3,14 @@
 use super::animate::{Film, strip_frames};
 use super::compare::Comparison;
 use super::evaluate::Scores;
-use super::optimise::{Estimates, GarmentFabric};
+use super::optimise::Estimates;
 use super::preprocess::Subject;
 use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
+use crate::estimate::{report as fabric, ten_fabrics};
 use crate::plot::{Axes, Curve, escape, lines, number};
 use crate::trainer::CurvePoint;
 use crate::training;
-use caphy_core::material::{MembraneBlock, MembraneCall};
 use caphy_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -131,7 +131,12 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
 fn embedded(context: &Context<'_>, name: &str) -> Result<String> {
     let path = context.folder.join(name);
     let bytes = std::fs::read(&path).map_err(|e| Error::io(&path, "read", e))?;
-    Ok(format!("data:image/png;base64,{}", base64(&bytes)))
+    Ok(data_url(&bytes))
+}
+
+/// A PNG as a page holds it.
+pub(crate) fn data_url(png: &[u8]) -> String {
+    format!("data:image/png;base64,{}", base64(png))
 }
 
 /// Standard base64 with padding (RFC 4648).
@@ -290,71 +295,28 @@ fn previews(html: &mut String, context: &Context<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Stretches at which fabrics are drawn: the published measurements end at 7/6.
-const STRETCHES: usize = 33;
-
-/// Tension [N/m] over stretch along the yarn axes without lateral strain, before and after Eq. 10.
-fn tension(context: &Context<'_>, garment: &GarmentFabric) -> Result<String> {
-    let strains: Vec<f64> = (0..STRETCHES).map(|i| 0.2 * i as f64 / (STRETCHES - 1) as f64).collect();
-    let mut curves = Vec::new();
-    for (when, values) in [("before", &garment.before), ("after", &garment.estimate.parameters)] {
-        let table = &context.config.garment(garment.kind)?.material;
-        let model = material(table, config_key(garment.kind), Some(values))?;
-        for (axis, name) in ["u", "v"].iter().enumerate() {
-            let mut green = vec![0.0; 3 * STRETCHES];
-            for (i, e) in strains.iter().enumerate() {
-                green[axis * STRETCHES + i] = e + 0.5 * e * e;
-            }
-            let mut stress = vec![0.0; 3 * STRETCHES];
-            let mut block = MembraneBlock::new(STRETCHES, &green);
-            block.stress = (&mut stress[..]).into();
-            model.membrane(MembraneCall::F64(&mut block))?;
-            // First Piola-Kirchhoff stress P = F S.
-            let pull = |i: usize| (1.0 + strains[i]) * stress[axis * STRETCHES + i];
-            let points = (0..STRETCHES).map(|i| (100.0 * strains[i], pull(i))).collect();
-            curves.push(Curve { name: format!("{name} {when}"), points });
-        }
-    }
-    let title = format!("{}: tension along the yarn axes", garment.kind);
-    Ok(lines(&Axes { title: &title, x: "stretch, %", y: "N/m", log_y: false }, &curves))
-}
-
 fn fabrics(html: &mut String, context: &Context<'_>, inputs: &Inputs<'_>) -> Result<()> {
     html.push_str("<h2>Fabric</h2>");
     if inputs.fabrics.is_empty() {
         html.push_str("<p>Not estimated: as configured.</p>");
     }
-    for estimates in inputs.fabrics {
-        for garment in &estimates.garments {
-            let e = &garment.estimate;
-            let _ = write!(
-                html,
-                "<h3>{}</h3><p>Eq. 10: gradient {} N → {} N (rms), {} of {} rows, singular values {}.</p>",
-                garment.kind,
-                number(e.residual_before_n),
-                number(e.residual_after_n),
-                e.rows[0],
-                e.rows[1],
-                e.singular_values.iter().map(|v| number(*v)).collect::<Vec<_>>().join(", "),
-            );
-            for warning in &e.warnings {
-                let _ = write!(html, "<p class=\"warn\">{}</p>", escape(warning));
-            }
-            let rows = e.groups.iter().map(|g| {
-                let note = match (g.excited, g.at_bound) {
-                    (false, _) => "not excited, kept",
-                    (true, true) => "at its bound",
-                    (true, false) => "",
-                };
-                vec![
-                    g.name.clone(),
-                    format!("{:.3}", g.multiplier),
-                    format!("{:.0} %", 100.0 * g.determined),
-                    note.to_string(),
-                ]
-            });
-            table(html, &["group", "multiplier", "determined by the shapes", ""], rows);
-            html.push_str(&tension(context, garment)?);
+    let known = ten_fabrics()?;
+    for garment in inputs.fabrics.iter().flat_map(|e| &e.garments) {
+        let _ = write!(html, "<h3>{}</h3>", garment.kind);
+        let found = &garment.fabric;
+        for warning in found.estimate.warnings() {
+            let _ = write!(html, "<p class=\"warn\">{}</p>", escape(warning));
+        }
+        fabric::values(html, found);
+        let table = &context.config.garment(garment.kind)?.material;
+        let model = material(table, config_key(garment.kind), Some(&found.after))?;
+        let fabrics = if table.is_measured() { &known[..] } else { &[] };
+        fabric::curves(html, &*model, found, fabrics)?;
+        fabric::fits(html, &found.estimate);
+        if let Some(picture) = &garment.picture {
+            let source = embedded(context, &picture.file.to_string_lossy())?;
+            let text = fabric::coloured_by(picture.last_colour_m);
+            let _ = write!(html, "<p>{text}</p><img alt=\"{} over its scans\" src=\"{source}\">", garment.kind);
         }
     }
     Ok(())

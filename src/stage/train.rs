@@ -55,7 +55,7 @@ impl Start {
     }
     /// From trained nets with newly estimated fabrics.
     pub fn from_estimate(nets: &Nets, estimates: &Estimates, rounds: usize) -> Start {
-        let fabrics = estimates.garments.iter().map(|e| Some(e.estimate.parameters.clone())).collect();
+        let fabrics = estimates.garments.iter().map(|e| Some(e.fabric.after.clone())).collect();
         Start { nets: Some(nets.clone()), fabrics, rounds }
     }
 }

@@ -74,7 +74,13 @@ fn unknown_keys_are_named_with_their_line() {
             "form",
             "`from`",
         ),
-        ("rounds = 2", "rounds = 2\nforce_balance = { factor = 2.0 }", "factor =", "`largest_factor`"),
+        (
+            "type = \"alternation\"",
+            "type = \"alternation\", force_balance = { factor = 2.0 }",
+            "factor =",
+            "`largest_factor`",
+        ),
+        ("type = \"alternation\"", "type = \"equilibrium\", fit = { gat = 2.0 }", "gat =", "`gate`"),
         ("scans = 3", "scans = 3\nscan = 3", "scan = 3", "`scans`"),
         ("iterations = 8", "iterations = 8\nitrations = 3", "itrations", "`iterations`"),
         ("kind = \"walk\", seconds = 2", "kind = \"walk\", seconds = 2, foo = 2", "foo", "`seconds`"),
@@ -144,7 +150,19 @@ fn unusable_values_name_their_key() {
         ("checkpoint_every = 5", "checkpoint_every = 0", "train.checkpoint_every"),
         ("windows = 48", "windows = 48\nmetrics_every = 0", "train.metrics_every"),
         ("rounds = 2", "alternations = 9", "optimise.alternations"),
-        ("rounds = 2", "force_balance = { largest_factor = 0.5 }", "optimise.force_balance.largest_factor"),
+        (
+            "type = \"alternation\"",
+            "type = \"alternation\", force_balance = { largest_factor = 0.5 }",
+            "optimise.estimator.force_balance.largest_factor",
+        ),
+        ("type = \"alternation\"", "type = \"equilibrium\", scans = 0", "optimise.estimator.scans"),
+        ("type = \"alternation\"", "type = \"equilibrium\", fit = { gate = 0.5 }", "optimise.estimator.fit.gate"),
+        ("type = \"alternation\"", "type = \"alternation\", lambda = 2.0", "optimise.estimator.inner"),
+        (
+            "type = \"alternation\"",
+            "type = \"alternation\", inner = \"solver\", rounds = 0",
+            "optimise.estimator.rounds",
+        ),
         ("epochs = 6", "learning_rate = 0.0", "finetune.learning_rate"),
         ("[animate]", "[animate]\nobj_every = 0", "animate.obj_every"),
         ("seconds = 2 }", "seconds = 0 }", "motion.clips.seconds"),
@@ -176,7 +194,11 @@ fn unusable_values_name_their_key() {
         ("windows = 48", "windows = 48\nweights = { layering = [[0.0, nan]] }", "train.weights.layering"),
         ("windows = 48", "windows = 48\ncontact = { allowed_depth = 0.0 }", "train.contact.allowed_depth"),
         ("epochs = 6", "layering = { margin = -1e-3 }", "finetune.layering.margin"),
-        ("rounds = 2", "force_balance = { regularisation = -1.0 }", "optimise.force_balance.regularisation"),
+        (
+            "type = \"alternation\"",
+            "type = \"alternation\", force_balance = { regularisation = -1.0 }",
+            "optimise.estimator.force_balance.regularisation",
+        ),
         ("[animate]", "[evaluate]\npenetration_m = nan\n\n[animate]", "evaluate.penetration_m"),
         ("[animate]", "[animate]\npush_out_m = -1e-3", "animate.push_out_m"),
         ("[animate]", "[animate]\nseconds = -1.0", "animate.seconds"),
@@ -198,6 +220,8 @@ fn unusable_values_name_their_key() {
     assert_points_at(&edited(TINY, &[(fabric, &multipliers)]), "membrane_multipliers", &["2 values, expected 4"]);
     let no_clips = "clips = [{ type = \"procedural\", kind = \"walk\", seconds = 2 }]";
     assert_says(&edited(TINY, &[(no_clips, "clips = []")]), &["motion.clips"]);
+    let other = [("type = \"alternation\"", "type = \"equilibria\"")];
+    assert_points_at(&edited(TINY, &other), "equilibria", &["expected `equilibrium` or `alternation`"]);
     assert_says(&edited(TINY, &[("[net]\ntype = \"gru\"\nlayers = 2\nhidden = 32\n", "")]), &["missing field `net`"]);
 }
 
@@ -222,7 +246,7 @@ fn settings_without_effect_are_refused() {
             "finetune.layering",
             "finetune.epochs = 0",
         ),
-        ("rounds = 2", "rounds = 3\nalternations = 0", "optimise.rounds", "optimise.alternations = 0"),
+        ("rounds = 2", "rounds = 2\nalternations = 0", "optimise.estimator", "optimise.alternations = 0"),
         ("windows = 48", "windows = 48\nweights = { scan = 0.0 }\nscan_points = 9", "train.scan_points", "scan = 0"),
         (
             "windows = 48",

@@ -1,4 +1,8 @@
 use crate::commands::{caphy, refusal, text};
+use crate::experiment::{Experiment, TINY, edited, value};
+use crate::pipeline::finished;
+use caphy::stage::optimise::Estimates;
+use caphy::stage::train::Nets;
 use caphy_core::material::{MaterialModel, MaterialSpec};
 use caphy_core::scan::Scan;
 use caphy_core::{TriMesh, Vec3};
@@ -60,12 +64,52 @@ fn a_swatch_is_estimated_from_files_and_shown() {
     assert!((ratio - 1.0).abs() < 0.05, "bending {ratio} of the truth");
     assert!(found["weighed"].as_bool().unwrap());
     let page = std::fs::read_to_string(folder.path().join("fitted/report.html")).unwrap();
-    assert!(page.contains("effective at this mesh") && page.contains("pose-01-back.png"));
-    assert!(folder.path().join("fitted/pictures/pose-01-back.png").exists());
+    assert!(page.contains("effective at this mesh") && page.matches("data:image/png").count() == 4);
     // Again: from the kept state, to the same values.
     let again = caphy(folder.path(), &["estimate", "swatch.toml", "--json"]);
     let again: Value = serde_json::from_slice(&again.stdout).unwrap();
     assert_eq!(found["after"], again["after"]);
+}
+
+/// A finished run with another estimator: only the fabric is looked for again.
+#[test]
+fn an_experiment_estimates_its_garments() {
+    let lower = "\n[lower]\nmaterial = { type = \"measured\", fabric = \"camel-ponte-roma\" }";
+    for (estimator, has) in [
+        // Two steps at one λ and then two without: how good the values are is not this test's.
+        ("type = \"equilibrium\", scans = 1, fit = { steps_while_held = 1, steps = 2 }", "What the poses determine"),
+        ("type = \"alternation\", inner = \"solver\", rounds = 2", "Eq. 10: gradient"),
+    ] {
+        let config =
+            edited(TINY, &[("type = \"alternation\"", estimator), (lower, &format!("{lower}\nmass_g = 350.0"))]);
+        let experiment = Experiment::copy_of(finished(), &config);
+        let folder = experiment.folder.path();
+        let out = experiment.out();
+        let arguments = ["estimate", "experiment.toml", "--json", "--out", out.to_str().unwrap()];
+        let output = caphy(folder, &arguments);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let garments = found[0]["garments"].as_array().unwrap();
+        assert_eq!(garments.len(), 2);
+        for (garment, weighed) in garments.iter().zip([false, true]) {
+            let fabric = &garment["fabric"];
+            assert_eq!(fabric["weighed"].as_bool(), Some(weighed));
+            let values = |key: &str| -> Vec<f64> {
+                fabric[key].as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+            };
+            let (before, after) = (values("before"), values("after"));
+            assert_eq!(before.len(), after.len());
+            assert!(before != after && after.iter().all(|v| v.is_finite()), "{after:?}");
+            let page = std::fs::read_to_string(out.join(garment["page"].as_str().unwrap())).unwrap();
+            assert!(page.contains(has) && page.matches("data:image/png").count() >= 2);
+            assert!(out.join(garment["picture"]["file"].as_str().unwrap()).exists());
+        }
+        let summary = experiment.run();
+        assert_eq!(summary.ran[0], "train-optimised", "the estimate is kept, and goes into training");
+        let nets: Nets = value(&out, "train-optimised");
+        let kept: Estimates = value(&out, "optimise");
+        assert_eq!(nets.garments[1].material.as_ref(), Some(&kept.garments[1].fabric.after));
+    }
 }
 
 #[test]

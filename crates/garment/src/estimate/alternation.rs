@@ -18,15 +18,6 @@ const WATCHED: usize = 4;
 /// Fall of the mean logarithm over these rounds that is worth a warning.
 const FALL: f64 = 0.05;
 
-/// What makes the garments between physics and scan.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Inner {
-    /// The reference solver minimises each pose directly.
-    #[default]
-    Solver,
-}
-
 /// Settings of [`alternation`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -36,8 +27,6 @@ pub struct AlternationSettings {
     /// λ3d: springs to the scan, in weights of a vertex per mm. Default 0.1: at 0.5 mm of noise it keeps 0.8-1 of the stiffness
     /// after 40 rounds, 1 collapses. Exact scans (of a simulation) want 10 or more.
     pub lambda: f64,
-    /// What makes the garments. Default `solver`.
-    pub inner: Inner,
     /// By what Eq. 10 differentiates. Default `canonical`, as printed.
     pub gradient: GradientBy,
     /// Rows of vertices nearer to the body than the contact margin plus this are dropped [m]. Default 2 mm.
@@ -53,7 +42,6 @@ impl Default for AlternationSettings {
         Self {
             rounds: 40,
             lambda: 0.1,
-            inner: Inner::Solver,
             gradient: GradientBy::Canonical,
             contact_slack_m: 2e-3,
             tolerance: 1e-4,

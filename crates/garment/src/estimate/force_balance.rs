@@ -8,10 +8,8 @@
 //! contact are dropped, because contact forces are not the fabric's.
 
 use super::balance_system::{BalanceRules, BalanceSolution, BalanceSystem};
-use super::reduction;
-use caphy_core::material::MaterialModel;
 use caphy_core::{Error, Result};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -105,61 +103,6 @@ pub struct FabricEstimate {
 /// What to expect of Eq. 10; printed whenever it runs.
 pub const WARNING: &str = "Eq. 10 is exact on exact equilibria only: 0.02 mm of noise, another mesh or an unconverged net biases every stiffness \
      towards zero. Read the multipliers as a direction, not as a measurement; only stiffness over density is observable.";
-
-/// Solves Eq. 10 for the groups' multipliers.
-///
-/// `gradient(m)` gives ∂E_phys/∂dV [N] of all poses, flat, for fabric `m`, without any scan term; `keep` says which entries
-/// count (not those in contact or held).
-///
-/// Errors: [`Error::Unsupported`] for a material that is not linear in its parameters, [`Error::Length`],
-/// [`Error::NonFinite`], and errors of `gradient`.
-pub fn force_balance(
-    material: &dyn MaterialModel,
-    mut gradient: impl FnMut(&dyn MaterialModel) -> Result<Vec<f64>>,
-    keep: &[bool],
-    settings: &ForceBalanceSettings,
-) -> Result<FabricEstimate> {
-    let description = material.describe();
-    if !description.linear_in_parameters {
-        return Err(Error::unsupported(
-            "Eq. 10 as least squares (it is not linear in its parameters)",
-            description.name,
-        ));
-    }
-    let groups = reduction::groups(material);
-    let mut kept = |m: &dyn MaterialModel| -> Result<DVector<f64>> {
-        let all = gradient(m)?;
-        Error::check_length("gradient rows of Eq. 10", keep.len(), all.len())?;
-        let rows: Vec<f64> = all.into_iter().zip(keep).filter(|(_, k)| **k).map(|(v, _)| v).collect();
-        Error::check_finite("gradient rows of Eq. 10", &rows)?;
-        Ok(DVector::from_vec(rows))
-    };
-    let start = kept(material)?;
-    let rows = start.len();
-    let n = groups.len();
-    // Linear in each group: halving a group and comparing gives half its column exactly, and stays inside bounds.
-    let mut whole = DMatrix::zeros(rows, n + 1);
-    let mut b = start.clone();
-    for g in 0..n {
-        let mut multipliers = vec![1.0; n];
-        multipliers[g] = 0.5;
-        let halved = reduction::scaled(material, &groups, &multipliers)?;
-        let column = (&start - kept(&*halved)?) * 2.0;
-        b -= &column;
-        whole.set_column(g, &column);
-    }
-    whole.set_column(n, &b);
-    let system = BalanceSystem::of_rows(whole);
-    let names: Vec<String> = groups.iter().map(|g| g.name.clone()).collect();
-    let solution = solve(&system, &names, &DVector::from_element(n, 1.0), settings)?;
-    let multipliers: Vec<f64> = solution.multipliers.iter().copied().collect();
-    let estimated = reduction::scaled(material, &groups, &multipliers)?;
-    let after = kept(&*estimated)?;
-    let rms = |v: &DVector<f64>| if rows == 0 { 0.0 } else { v.norm() / (rows as f64).sqrt() };
-    let parameters = estimated.parameters().iter().map(|p| p.value).collect();
-    let residuals = [rms(&start), rms(&after)];
-    Ok(reported(&names, parameters, &solution, residuals, [rows, keep.len()], settings))
-}
 
 /// The multipliers that balance a system from `start`.
 pub(crate) fn solve(

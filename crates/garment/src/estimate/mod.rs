@@ -2,7 +2,7 @@
 //!
 //! * [`equilibrium`]: the default; fits simulated equilibria to scans.
 //! * [`alternation`]: the paper's loop of shapes between physics and scan and Eq. 10.
-//! * [`force_balance`], [`ShapeBalance`]: Eq. 10 alone, exact on exact equilibria and only there.
+//! * [`ShapeBalance`]: Eq. 10 alone, exact on exact equilibria and only there.
 //!
 //! All say which combinations of the fabric's numbers the poses determine, and what holds the others. [`cloth`] has the
 //! laboratory's specimens.
@@ -23,7 +23,7 @@ pub mod shapes;
 pub use alternation::{AlternationEstimate, AlternationSettings, alternation};
 pub use capture::{Capture, ContactSearch, ScanPoints, Surroundings};
 pub use equilibrium::{EquilibriumEstimate, FitProgress, FitState, NativeEvidence, Problem, equilibrium};
-pub use force_balance::{FabricEstimate, ForceBalanceSettings, GroupEstimate, force_balance};
+pub use force_balance::{FabricEstimate, ForceBalanceSettings, GroupEstimate};
 pub use reduction::Reduction;
 pub use settings::EquilibriumSettings;
 pub use shapes::{GradientBy, ShapeBalance};

@@ -46,18 +46,6 @@ fn without_last_index(name: &str) -> String {
     }
 }
 
-/// The material with each group's parameters multiplied, kept inside their bounds.
-pub fn scaled(material: &dyn MaterialModel, groups: &[Group], multipliers: &[f64]) -> Result<Box<dyn MaterialModel>> {
-    let parameters = material.parameters();
-    let mut values: Vec<f64> = parameters.iter().map(|p| p.value).collect();
-    for (group, &multiplier) in groups.iter().zip(multipliers) {
-        for &i in &group.members {
-            values[i] = (values[i] * multiplier).clamp(parameters[i].lower, parameters[i].upper);
-        }
-    }
-    material.with_parameters(&values)
-}
-
 /// Unknowns y and the native parameters that they stand for.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reduction {

@@ -7,6 +7,7 @@
 //!   within a round ([`SolverSettings`]), the force residual [N] as the measure.
 //! * [`Solver::attach_and_release`]: the same from a scan, first pulled to its points, then let go.
 //! * [`Solver::solve_from`]: the next pose of a sequence.
+//! * [`Solver::solve_held`]: after a small change, contacts as they were.
 //! * [`Dynamics`]: backward Euler steps of a sequence.
 //! * [`Solver::linearise`]: dx*/dΘ and dx*/d(anything) by the implicit function theorem ([`sensitivity`]).
 //!
@@ -22,6 +23,7 @@
 mod dense;
 pub mod dynamics;
 pub mod factor;
+mod held;
 mod lbfgs;
 mod modes;
 mod newton;

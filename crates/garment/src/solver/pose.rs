@@ -264,6 +264,19 @@ impl Solver {
         self.finish(prepared, frozen, workspace, x, report)
     }
 
+    /// Contact pairs and friction as they are found at `x`.
+    pub(super) fn contacts_at(
+        &self,
+        prepared: &Prepared<'_>,
+        workspace: &mut Workspace,
+        x: &[f64],
+        start: &[Vec3],
+    ) -> Result<Frozen> {
+        let mut frozen = self.first_pairs(prepared, None, workspace, x)?;
+        frozen.friction = self.friction(prepared, &frozen, workspace, x, start)?;
+        Ok(frozen)
+    }
+
     /// Contact pairs at the start, on the side where they were before.
     fn first_pairs(
         &self,
@@ -309,7 +322,7 @@ impl Solver {
     }
 
     /// Residual, energies, contacts and soft modes at the end.
-    fn finish(
+    pub(super) fn finish(
         &mut self,
         prepared: &Prepared<'_>,
         frozen: Frozen,

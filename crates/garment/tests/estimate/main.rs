@@ -6,4 +6,5 @@ mod alternation;
 mod bad_input;
 mod equilibrium;
 mod exact;
+mod held;
 mod study;

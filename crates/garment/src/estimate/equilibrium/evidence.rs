@@ -191,7 +191,7 @@ impl Fit<'_> {
         })
     }
     fn tell(&self, progress: &mut dyn FnMut(FitProgress<'_>) -> Result<()>, share: f64, message: &str) -> Result<()> {
-        progress(FitProgress { share, message, state: &self.state })
+        progress(FitProgress { share, message, state: &self.kept })
     }
 
     /// Information of a pose's measurements on the unknowns, free sliding marginalised out: `modes` are displacements of one

@@ -47,6 +47,7 @@ const GOOD_ENOUGH: f64 = 0.2;
 const SUSPICIOUS: f64 = 1.12;
 
 /// A cloth, what is known of its poses, and how they are simulated.
+#[derive(Clone)]
 pub struct Problem {
     /// The cloth at rest; its density is taken as known.
     pub rest: GarmentRest,
@@ -112,7 +113,7 @@ pub struct FitProgress<'a> {
     pub share: f64,
     /// A word on it.
     pub message: &'a str,
-    /// Where it stands, to keep.
+    /// Where to go on from, to keep: the present λ's beginning.
     pub state: &'a FitState,
 }
 
@@ -146,6 +147,8 @@ struct Fit<'p> {
     poses: Vec<PoseFit<'p>>,
     sheet: Sheet,
     state: FitState,
+    /// The state at which contacts were last looked for: what to go on from, since no later one says how.
+    kept: FitState,
 }
 
 /// Sums of squares of all poses: half the Hessian's data part, its gradient.
@@ -172,7 +175,8 @@ impl<'p> Fit<'p> {
             gatings: 0,
             evaluations: 0,
         };
-        Ok(Self { problem, settings, unknowns, poses, sheet: Sheet::new(&*problem.material)?, state })
+        let kept = state.clone();
+        Ok(Self { problem, settings, unknowns, poses, sheet: Sheet::new(&*problem.material)?, state, kept })
     }
     fn go_on(&mut self, state: FitState) -> Result<()> {
         Error::check_length("unknowns of the state to go on from", self.unknowns.len(), state.y.len())?;
@@ -181,6 +185,7 @@ impl<'p> Fit<'p> {
         for (pose, shape) in self.poses.iter_mut().zip(&state.shapes) {
             Error::check_length("vertices of the state to go on from", pose.x.len(), shape.len())?;
             pose.x = shape.iter().map(|p| Vec3::from(*p)).collect();
+            pose.settled = state.evaluations > 0;
         }
         self.state = state;
         Ok(())
@@ -279,6 +284,7 @@ impl<'p> Fit<'p> {
 
     fn run(&mut self, progress: &mut dyn FnMut(FitProgress<'_>) -> Result<()>) -> Result<()> {
         while self.state.stage < self.settings.continuation.len() {
+            self.look_again();
             self.descend(progress)?;
             let last = self.state.stage + 1 == self.settings.continuation.len();
             if last && self.state.gatings < GATINGS && self.gate()? {
@@ -292,6 +298,12 @@ impl<'p> Fit<'p> {
             self.state.reach = self.settings.largest_step;
         }
         Ok(())
+    }
+
+    /// Has contacts looked for anew by the next solves.
+    fn look_again(&mut self) {
+        self.poses.iter_mut().for_each(|p| p.contacts = None);
+        self.kept.clone_from(&self.state);
     }
 
     /// Gauss-Newton steps at the present λ.
@@ -399,7 +411,7 @@ impl<'p> Fit<'p> {
         };
         let share = (self.state.stage as f64 + self.state.step as f64 / of.max(1) as f64) / stages;
         let message = format!("λ {lambda}, step {}, cost {cost:.5e}", self.state.step);
-        progress(FitProgress { share: 0.9 * share.min(1.0), message: &message, state: &self.state })
+        progress(FitProgress { share: 0.9 * share.min(1.0), message: &message, state: &self.kept })
     }
 
     /// χ² per measurement of each pose [`None`: left out].
@@ -424,13 +436,17 @@ impl<'p> Fit<'p> {
         }
         let hopeless = self.misfits(&trials, self.settings.gate);
         let before = self.fits(&trials);
-        let old: Vec<Vec<Vec3>> = self.poses.iter().map(|p| p.x.clone()).collect();
+        let old: Vec<_> = self.poses.iter().map(|p| (p.x.clone(), p.contacts.clone())).collect();
         for (pose, _) in self.poses.iter_mut().zip(&bad).filter(|(_, b)| **b) {
             pose.x.clone_from(&pose.capture.start);
         }
         let mut again = Vec::new();
         for lambda in [0.3, 0.1, 0.03, 0.0] {
             let pulls = self.pulls(lambda)?;
+            self.poses.iter_mut().zip(&bad).filter(|(_, b)| **b).for_each(|(p, _)| {
+                p.contacts = None;
+                p.settled = false;
+            });
             again = self.attempt(&y, &pulls, None, &bad)?;
             self.take(y.clone(), &again);
         }
@@ -447,8 +463,8 @@ impl<'p> Fit<'p> {
             if better {
                 changed = true;
             } else {
-                self.poses[i].x.clone_from(&old[i]);
-                self.state.shapes[i] = packed(&old[i]);
+                (self.poses[i].x, self.poses[i].contacts) = old[i].clone();
+                self.state.shapes[i] = packed(&old[i].0);
             }
         }
         if changed {

@@ -41,6 +41,7 @@ impl NativeEvidence {
         Error::check_length("poses of the estimate", fit.poses.len(), estimate.shapes.len())?;
         for (pose, shape) in fit.poses.iter_mut().zip(&estimate.shapes) {
             pose.x = shape.iter().map(|p| Vec3::from(*p)).collect();
+            pose.settled = true;
         }
         for (left_out, report) in fit.state.left_out.iter_mut().zip(&estimate.poses) {
             *left_out = report.left_out.is_some();

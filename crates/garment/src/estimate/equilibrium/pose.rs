@@ -15,10 +15,10 @@ use std::sync::Arc;
 /// Step of differences by ease, and by the body's offset in its unit.
 const EASE_STEP: f64 = 1e-4;
 const OFFSET_STEP: f64 = 1e-2;
-/// A pose counts as at rest when no vertex is pushed harder than this share of its weight.
+/// A pose counts as at rest when no vertex is pushed harder than this share of its weight, or than the solver was asked for.
 const AT_REST: f64 = 1e-3;
-/// Newton steps of a trial: one that needs more went too far.
-const TRIAL_STEPS: usize = 60;
+/// Newton steps of a trial: near an equilibrium it takes one or two; one that needs more went too far.
+const TRIAL_STEPS: usize = 25;
 /// Farthest that the linear forecast of a shape may move a vertex [m]: beyond, the step starts from the old shape.
 const FORECAST_M: f64 = 1e-3;
 
@@ -75,6 +75,11 @@ pub(crate) struct PoseFit<'p> {
     ease: [f64; 2],
     /// The present shape [m].
     pub(crate) x: Vec<Vec3>,
+    /// Where contact pairs and friction were last looked for: trials hold them, or a step would be judged by which pair flips.
+    /// `None`: to be looked for.
+    pub(crate) contacts: Option<Solution>,
+    /// Whether the shape was brought to rest before, contacts and all: from then on they are looked for once at a time.
+    pub(crate) settled: bool,
 }
 
 impl<'p> PoseFit<'p> {
@@ -93,9 +98,12 @@ impl<'p> PoseFit<'p> {
             solver,
             ease: [0.0; 2],
             x: capture.start.clone(),
+            contacts: None,
+            settled: false,
         })
     }
     pub(crate) fn set_settings(&mut self, settings: SolverSettings) -> Result<()> {
+        self.contacts = None;
         self.solver.set_settings(settings)
     }
     fn configure(&mut self, material: &Arc<dyn MaterialModel>, ease: [f64; 2]) -> Result<()> {
@@ -144,11 +152,16 @@ impl<'p> PoseFit<'p> {
         if forecast.is_some() {
             solver.set_settings(SolverSettings { iterations: settings.iterations.min(TRIAL_STEPS), ..settings })?;
         }
-        let solution = in_scene(capture, body.as_ref(), pull, |scene| solver.solve(scene, &start, &|_| {}));
+        let how = (self.settled && body.is_some(), self.contacts.as_ref());
+        let solution = in_scene(capture, body.as_ref(), pull, |scene| solved(solver, how, scene, &start));
         solver.set_settings(settings)?;
         let solution = solution?;
+        self.settled = true;
+        if self.contacts.is_none() && body.is_some() {
+            self.contacts = Some(solution.clone());
+        }
         let weight = self.problem.rest.mass() * self.problem.forces.gravity.norm() / start.len() as f64;
-        let at_rest = solution.report.residual_n <= AT_REST * weight;
+        let at_rest = solution.report.residual_n <= (AT_REST * weight).max(settings.tolerance_n);
         let rows = self.comparison.rows(&solution.positions)?;
         let cost = rows.iter().map(|r| r.share * huber(r.distance / self.sigma, robust_at).0).sum();
         Ok(Trial { solution, rows, cost, at_rest })
@@ -228,11 +241,22 @@ impl<'p> PoseFit<'p> {
         self.configure(material, unknowns.eases(y))?;
         self.solver.set_settings(SolverSettings { soft_modes: count, ..settings })?;
         let body = self.capture.body.as_ref().map(|b| unknowns.body(b, y));
+        let how = (self.settled && body.is_some(), self.contacts.as_ref());
         let (capture, x, solver) = (self.capture, &self.x, &mut self.solver);
-        let answer = in_scene(capture, body.as_ref(), None, |scene| solver.solve(scene, x, &|_| {}));
+        let answer = in_scene(capture, body.as_ref(), None, |scene| solved(solver, how, scene, x));
         self.solver.set_settings(settings)?;
         Ok(answer?.report.soft_modes)
     }
+}
+
+/// A shape at rest: with contacts held where it `settled` before, else looked for until they stay.
+fn solved(
+    solver: &mut Solver,
+    (settled, contacts): (bool, Option<&Solution>),
+    scene: &Scene<'_>,
+    start: &[Vec3],
+) -> Result<Solution> {
+    if settled { solver.solve_held(contacts, scene, start, &|_| {}) } else { solver.solve(scene, start, &|_| {}) }
 }
 
 /// Change of a row's distance [m] when the vertices move along `s`.

@@ -1,0 +1,74 @@
+//! Rest with contacts that are held: what a small change of fabric, cut or body does.
+
+use super::Solver;
+use super::newton::{Newton, Stop};
+use super::scene::Scene;
+use super::solution::{Method, Outcome, Progress, Solution, SolveReport};
+use super::state::flat;
+use super::state::{Prepared, Workspace};
+use caphy_core::{Error, Result, Vec3};
+
+impl Solver {
+    /// Brings the garment to rest from `start` [m] with contact pairs and friction limits held: those of `earlier`, or with `None` as
+    /// they are found at `start`. The answer depends smoothly on everything else, as [`Solver::linearise`] says it does. Friction
+    /// pulls to the anchors of the solve that the contacts come from.
+    ///
+    /// Good for answers near the start: a vertex that slides over the body meets the tangent plane of where it was.
+    ///
+    /// # Errors
+    /// As [`Solver::solve`].
+    pub fn solve_held(
+        &mut self,
+        earlier: Option<&Solution>,
+        scene: &Scene<'_>,
+        start: &[Vec3],
+        progress: &dyn Fn(Progress),
+    ) -> Result<Solution> {
+        Error::check_length("start of the solver", self.vertex_count(), start.len())?;
+        let mut x = flat(start);
+        Error::check_finite("start of the solver", &x)?;
+        self.release();
+        let prepared = Prepared::new(self, scene)?;
+        let mut workspace = Workspace::new(self.vertex_count());
+        let frozen = match earlier {
+            Some(earlier) => {
+                Error::check_length("vertices of the earlier solution", self.vertex_count(), earlier.positions.len())?;
+                let pairs = earlier.pairs().unwrap_or_default();
+                if let Some(id) = pairs.iter().find(|id| !prepared.has_body_vertex(**id)) {
+                    return Err(Error::mesh(
+                        "body",
+                        format!("vertex {id}"),
+                        "was touched by the earlier solution and is not there",
+                        "give the scene that it was solved in",
+                    ));
+                }
+                earlier.frozen.clone()
+            }
+            None => self.contacts_at(&prepared, &mut workspace, &x, start)?,
+        };
+        let settings = self.settings;
+        let mut newton = Newton::new(self);
+        let steps = (settings.iterations, settings.tolerance_n);
+        let stop = newton.run(self, &prepared, &frozen, &mut workspace, &mut x, steps, progress)?;
+        let report = SolveReport {
+            outcome: match stop {
+                Stop::Converged => Outcome::Converged,
+                Stop::Stalled => Outcome::Stalled,
+                Stop::StepsUsed => Outcome::IterationLimit,
+            },
+            method: Method::Newton,
+            residual_n: 0.0,
+            residual_vertex: 0,
+            iterations: newton.iterations,
+            factorisations: newton.factorisations,
+            evaluations: 0,
+            rounds: 1,
+            damped: newton.damped,
+            energies: Vec::new(),
+            pairs_open: 0,
+            friction_open_n: 0.0,
+            soft_modes: Vec::new(),
+        };
+        self.finish(&prepared, frozen, workspace, &x, report)
+    }
+}
