@@ -27,6 +27,7 @@ mod modes;
 mod newton;
 mod ordering;
 mod pose;
+mod relaxation;
 mod scene;
 pub mod sensitivity;
 mod settings;
