@@ -34,6 +34,7 @@ mod settings;
 mod solution;
 pub mod sparse;
 mod state;
+mod substitution;
 mod vector;
 
 pub use dynamics::Dynamics;
