@@ -64,6 +64,12 @@ impl Friction {
             .collect();
         Ok(Self { contacts, vertex_count, slip })
     }
+    /// Limit μN of each vertex [N], 0 where it is free.
+    pub fn limits(&self) -> Vec<f64> {
+        let mut out = vec![0.0; self.vertex_count];
+        self.contacts.iter().for_each(|c| out[c.vertex as usize] += c.limit);
+        out
+    }
     /// No contacts.
     pub fn none(vertex_count: usize) -> Self {
         Self { contacts: Vec::new(), vertex_count, slip: 1.0 }

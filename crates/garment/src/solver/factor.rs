@@ -8,6 +8,7 @@
 use super::dense;
 use super::ordering::{Analysis, Node};
 use super::sparse::BlockMatrix;
+use super::substitution::Columns;
 use caphy_core::{Error, Result};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -31,6 +32,12 @@ struct Front {
     /// U12 of LU, 3 own rows.
     upper: Vec<f64>,
     exchanges: Vec<u32>,
+}
+
+impl Front {
+    fn columns(&self, node: &Node) -> Columns<'_> {
+        Columns { panel: &self.panel, upper: &self.upper, exchanges: &self.exchanges, own: 3 * node.own }
+    }
 }
 
 /// A factorised matrix.
@@ -86,19 +93,29 @@ impl Factor {
             .iter()
             .flat_map(|&v| b.get(3 * v as usize..3 * v as usize + 3).unwrap_or(&[0.0; 3]).iter().copied())
             .collect();
+        let mut part = Vec::new();
         for (node, front) in analysis.nodes.iter().zip(&self.fronts) {
+            collect(node, &x, &mut part);
+            let columns = front.columns(node);
             match (self.kind, transposed) {
-                (Kind::Cholesky, _) => forward_cholesky(node, front, &mut x),
-                (Kind::Lu, false) => forward_lu(node, front, &mut x),
-                (Kind::Lu, true) => forward_transposed(node, front, &mut x),
+                (Kind::Cholesky, _) => columns.forward_cholesky(&mut part),
+                (Kind::Lu, false) => columns.forward_lu(&mut part),
+                (Kind::Lu, true) => columns.forward_transposed(&mut part),
+            }
+            x[3 * node.start..][..3 * node.own].copy_from_slice(&part[..3 * node.own]);
+            for (&place, part) in node.boundary.iter().zip(part[3 * node.own..].chunks_exact(3)) {
+                x[3 * place as usize..][..3].copy_from_slice(part);
             }
         }
         for (node, front) in analysis.nodes.iter().zip(&self.fronts).rev() {
+            collect(node, &x, &mut part);
+            let columns = front.columns(node);
             match (self.kind, transposed) {
-                (Kind::Cholesky, _) => backward_cholesky(node, front, &mut x),
-                (Kind::Lu, false) => backward_lu(node, front, &mut x),
-                (Kind::Lu, true) => backward_transposed(node, front, &mut x),
+                (Kind::Cholesky, _) => columns.backward_cholesky(&mut part),
+                (Kind::Lu, false) => columns.backward_lu(&mut part),
+                (Kind::Lu, true) => columns.backward_transposed(&mut part),
             }
+            x[3 * node.start..][..3 * node.own].copy_from_slice(&part[..3 * node.own]);
         }
         let mut out = vec![0.0; x.len()];
         for (at, &v) in analysis.order.iter().enumerate() {
@@ -231,122 +248,13 @@ fn gather(
     }
 }
 
-fn split<'x>(node: &Node, x: &'x mut [f64]) -> (&'x mut [f64], &'x mut [f64], usize) {
-    let end = 3 * (node.start + node.own);
-    let (head, tail) = x.split_at_mut(end);
-    (&mut head[3 * node.start..], tail, end)
-}
-
-fn forward_cholesky(node: &Node, front: &Front, x: &mut [f64]) {
-    let (s, rows) = (3 * node.own, 3 * (node.own + node.boundary.len()));
-    let (own, tail, end) = split(node, x);
-    for j in 0..s {
-        let column = &front.panel[j * rows..][..rows];
-        own[j] /= column[j];
-        let value = own[j];
-        for i in j + 1..s {
-            own[i] -= column[i] * value;
-        }
-        subtract_below(node, &column[s..], value, tail, end);
+/// A front's own unknowns and behind them those of its boundary.
+fn collect(node: &Node, x: &[f64], part: &mut Vec<f64>) {
+    part.clear();
+    part.extend_from_slice(&x[3 * node.start..][..3 * node.own]);
+    for &place in &node.boundary {
+        part.extend_from_slice(&x[3 * place as usize..][..3]);
     }
-}
-fn backward_cholesky(node: &Node, front: &Front, x: &mut [f64]) {
-    let (s, rows) = (3 * node.own, 3 * (node.own + node.boundary.len()));
-    let (own, tail, end) = split(node, x);
-    for j in (0..s).rev() {
-        let column = &front.panel[j * rows..][..rows];
-        let mut value = own[j] - dot_below(node, &column[s..], tail, end);
-        for i in j + 1..s {
-            value -= column[i] * own[i];
-        }
-        own[j] = value / column[j];
-    }
-}
-fn forward_lu(node: &Node, front: &Front, x: &mut [f64]) {
-    let (s, rows) = (3 * node.own, 3 * (node.own + node.boundary.len()));
-    let (own, tail, end) = split(node, x);
-    for (j, &other) in front.exchanges.iter().enumerate() {
-        own.swap(j, other as usize);
-    }
-    for j in 0..s {
-        let column = &front.panel[j * rows..][..rows];
-        let value = own[j];
-        for i in j + 1..s {
-            own[i] -= column[i] * value;
-        }
-        subtract_below(node, &column[s..], value, tail, end);
-    }
-}
-fn backward_lu(node: &Node, front: &Front, x: &mut [f64]) {
-    let (s, rows) = (3 * node.own, 3 * (node.own + node.boundary.len()));
-    let (own, tail, end) = split(node, x);
-    for (k, &place) in node.boundary.iter().enumerate() {
-        for c in 0..3 {
-            let value = tail[3 * place as usize + c - end];
-            let column = &front.upper[(3 * k + c) * s..][..s];
-            own.iter_mut().zip(column).for_each(|(o, u)| *o -= u * value);
-        }
-    }
-    for j in (0..s).rev() {
-        let column = &front.panel[j * rows..][..rows];
-        own[j] /= column[j];
-        let value = own[j];
-        for i in 0..j {
-            own[i] -= column[i] * value;
-        }
-    }
-}
-/// Uᵀ y = b, going up.
-fn forward_transposed(node: &Node, front: &Front, x: &mut [f64]) {
-    let (s, rows) = (3 * node.own, 3 * (node.own + node.boundary.len()));
-    let (own, tail, end) = split(node, x);
-    for j in 0..s {
-        let column = &front.panel[j * rows..][..rows];
-        let mut value = own[j];
-        for i in 0..j {
-            value -= column[i] * own[i];
-        }
-        own[j] = value / column[j];
-    }
-    for (k, &place) in node.boundary.iter().enumerate() {
-        for c in 0..3 {
-            let column = &front.upper[(3 * k + c) * s..][..s];
-            let sum: f64 = own.iter().zip(column).map(|(o, u)| o * u).sum();
-            tail[3 * place as usize + c - end] -= sum;
-        }
-    }
-}
-/// Lᵀ x = y, going down, then the exchanges undone.
-fn backward_transposed(node: &Node, front: &Front, x: &mut [f64]) {
-    let (s, rows) = (3 * node.own, 3 * (node.own + node.boundary.len()));
-    let (own, tail, end) = split(node, x);
-    for j in (0..s).rev() {
-        let column = &front.panel[j * rows..][..rows];
-        let mut value = own[j] - dot_below(node, &column[s..], tail, end);
-        for i in j + 1..s {
-            value -= column[i] * own[i];
-        }
-        own[j] = value;
-    }
-    for (j, &other) in front.exchanges.iter().enumerate().rev() {
-        own.swap(j, other as usize);
-    }
-}
-fn subtract_below(node: &Node, column: &[f64], value: f64, tail: &mut [f64], end: usize) {
-    for (&place, l) in node.boundary.iter().zip(column.chunks_exact(3)) {
-        let x = &mut tail[3 * place as usize - end..][..3];
-        for c in 0..3 {
-            x[c] -= l[c] * value;
-        }
-    }
-}
-fn dot_below(node: &Node, column: &[f64], tail: &[f64], end: usize) -> f64 {
-    let mut sum = 0.0;
-    for (&place, l) in node.boundary.iter().zip(column.chunks_exact(3)) {
-        let x = &tail[3 * place as usize - end..][..3];
-        sum += l[0] * x[0] + l[1] * x[1] + l[2] * x[2];
-    }
-    sum
 }
 
 #[cfg(test)]

@@ -46,6 +46,14 @@ pub(super) trait Balance {
     fn renew(&mut self, _: &[f64]) -> Result<bool> {
         Ok(false)
     }
+    /// A first guess of the step: q by the inverse of some positive definite approximation of the second derivative, near `x`.
+    /// `None`: a multiple of q, found from the last step.
+    ///
+    /// # Errors
+    /// As [`Balance::forces`].
+    fn guess(&mut self, _x: &[f64], _q: &[f64]) -> Result<Option<Vec<f64>>> {
+        Ok(None)
+    }
 }
 
 /// Moves `x` towards rest. Answers the number of steps and the largest force [N].
@@ -75,7 +83,7 @@ pub(super) fn descend(x: &mut Vec<f64>, limits: &Limits, problem: &mut impl Bala
         if largest(&g).0 <= limits.tolerance_n {
             return Ok((step, largest(&g).0));
         }
-        let mut d = direction(&g, &history);
+        let mut d = direction(x, &g, &history, problem)?;
         let along = dot(&d, &g);
         if !along.is_finite() || along >= 0.0 {
             // Start gently, and fall back to the force where the direction does not go with it.
@@ -119,8 +127,7 @@ pub(super) fn descend(x: &mut Vec<f64>, limits: &Limits, problem: &mut impl Bala
 }
 
 /// −H⁻¹g by the two-loop recursion; nothing to go by yet is no number.
-fn direction(g: &[f64], history: &VecDeque<Pair>) -> Vec<f64> {
-    let Some(last) = history.back() else { return vec![f64::NAN; g.len()] };
+fn direction(x: &[f64], g: &[f64], history: &VecDeque<Pair>, problem: &mut impl Balance) -> Result<Vec<f64>> {
     let mut q = g.to_vec();
     let mut alphas = Vec::with_capacity(history.len());
     for pair in history.iter().rev() {
@@ -128,14 +135,20 @@ fn direction(g: &[f64], history: &VecDeque<Pair>) -> Vec<f64> {
         add_scaled(&mut q, -alpha, &pair.y);
         alphas.push(alpha);
     }
-    let gamma = if last.rho > 0.0 { 1.0 / (last.rho * dot(&last.y, &last.y)) } else { 1.0 };
-    q.iter_mut().for_each(|q| *q *= gamma);
+    match (problem.guess(x, &q)?, history.back()) {
+        (Some(guess), _) => q = guess,
+        (None, None) => return Ok(vec![f64::NAN; g.len()]),
+        (None, Some(last)) => {
+            let gamma = if last.rho > 0.0 { 1.0 / (last.rho * dot(&last.y, &last.y)) } else { 1.0 };
+            q.iter_mut().for_each(|q| *q *= gamma);
+        }
+    }
     for (pair, alpha) in history.iter().zip(alphas.iter().rev()).filter(|(pair, _)| pair.rho > 0.0) {
         let beta = pair.rho * dot(&pair.y, &q);
         add_scaled(&mut q, alpha - beta, &pair.s);
     }
     q.iter_mut().for_each(|q| *q = -*q);
-    q
+    Ok(q)
 }
 
 #[cfg(test)]

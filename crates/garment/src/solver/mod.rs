@@ -29,12 +29,14 @@ mod modes;
 mod newton;
 mod ordering;
 mod pose;
+mod relaxation;
 mod scene;
 pub mod sensitivity;
 mod settings;
 mod solution;
 pub mod sparse;
 mod state;
+mod substitution;
 mod vector;
 
 pub use dynamics::Dynamics;

@@ -1,12 +1,12 @@
 //! One pose (or one time step): rounds of Newton steps, contact pairs and friction renewed in between.
 
 use super::Solver;
-use super::lbfgs::{Balance, Limits, descend};
 use super::newton::{Newton, Stop};
+use super::relaxation::Guide;
 use super::scene::{Scene, Springs};
 use super::solution::{Method, Outcome, Progress, Solution, SolveReport};
-use super::state::{Frozen, Prepared, Workspace, flat, points_of, total};
-use super::vector::{largest, moved};
+use super::state::{Frozen, Habit, Prepared, Workspace, flat, points_of};
+use super::vector::largest;
 use crate::energy::{Attachment, BodyState, Friction, State, Touch};
 use caphy_core::{Error, Result, Vec3};
 
@@ -17,18 +17,13 @@ const FRICTION_AGREEMENT: f64 = 1e-3;
 const PREFERENCE: f64 = 0.03;
 /// Iterations of L-BFGS for one of Newton.
 const LBFGS_STEPS: usize = 20;
-/// L-BFGS looks for contact pairs again when a vertex has gone so far [m]: a fraction of the distance of body vertices.
-const SEARCH_M: f64 = 1e-3;
-
-/// Longest move of a vertex in one step of L-BFGS [m]: below the gap kept from the body, so that nothing jumps through a limb.
-const LBFGS_MOVE_M: f64 = 5e-3;
-
-/// Steps of L-BFGS between two looks at the stiffness, where forces are not a gradient unless it is held.
-const HOLD_STEPS: usize = 30;
-/// L-BFGS steps within which forces must fall noticeably before Newton's steps take over.
-const LBFGS_PATIENCE: usize = 500;
 /// Force at which Newton's steps take over from L-BFGS, as a share of the weight of the lightest vertices.
 const HANDOVER: f64 = 1e-2;
+
+/// From one look to the next a friction limit grows by this factor at most, or to so many times the vertex's weight. A vertex that has
+/// just met another part of the body is pushed hard for a moment; friction by that force would hold all around it in place.
+const FRICTION_GROWTH: f64 = 2.0;
+const FRICTION_START: f64 = 10.0;
 
 /// Answers of a renewal.
 struct Renewed {
@@ -130,23 +125,34 @@ impl Solver {
         let mut workspace = Workspace::new(self.vertex_count());
         let mut newton = Newton::new(self);
         let mut frozen = self.first_pairs(prepared, pairs, &mut workspace, x)?;
-        frozen.friction = self.friction(prepared, &frozen, &mut workspace, x, start)?;
+        frozen.friction = self.friction(prepared, &frozen, &mut workspace, x, (start, None))?;
         let touching = prepared.scene.body.is_some();
-        if touching && settings.warm_steps > 0 {
+        let mut factorisations = 0;
+        if touching {
             let weight = self.rest.mass() * self.forces.gravity.norm() / self.vertex_count().max(1) as f64;
             let tolerance = settings.tolerance_n.max(HANDOVER * weight);
-            let mut warm = (x.clone(), frozen.clone());
-            let steps = settings.warm_steps;
-            // A start that is too wild for it is left to Newton's steps.
-            if self
-                .lbfgs(prepared, start, &mut workspace, (&mut warm.0, &mut warm.1), (steps, tolerance), progress)
-                .is_ok()
-                && warm.0.iter().all(|x| x.is_finite())
-            {
-                *x = warm.0;
-                frozen = warm.1;
-                frozen.friction = self.friction(prepared, &frozen, &mut workspace, x, start)?;
+            for (guide, steps) in [(Guide::Past, settings.warm_steps), (Guide::Factor, settings.guided_steps)] {
+                if steps == 0 {
+                    continue;
+                }
+                let mut warm = (x.clone(), frozen.clone());
+                let answer = self.relax(
+                    prepared,
+                    start,
+                    &mut workspace,
+                    (&mut warm.0, &mut warm.1),
+                    (guide, steps, tolerance),
+                    progress,
+                );
+                // A start that is too wild for it is left to Newton's steps.
+                if let Ok(relaxed) = answer
+                    && warm.0.iter().all(|x| x.is_finite())
+                {
+                    (*x, frozen) = warm;
+                    factorisations += relaxed.factorisations;
+                }
             }
+            frozen.friction = self.friction(prepared, &frozen, &mut workspace, x, (start, None))?;
         }
         let mut outcome = Outcome::IterationLimit;
         let (mut rounds, mut settled, mut open) = (0, 0, (0, 0.0));
@@ -186,7 +192,7 @@ impl Solver {
             residual_n: 0.0,
             residual_vertex: 0,
             iterations: newton.iterations,
-            factorisations: newton.factorisations,
+            factorisations: factorisations + newton.factorisations,
             evaluations: 0,
             rounds,
             damped: newton.damped,
@@ -196,40 +202,6 @@ impl Solver {
             soft_modes: Vec::new(),
         };
         self.finish(prepared, frozen, workspace, x, report)
-    }
-
-    /// [`descend`] from `x`, with contact pairs and friction renewed as the garment moves.
-    fn lbfgs(
-        &mut self,
-        prepared: &Prepared<'_>,
-        start: &[Vec3],
-        workspace: &mut Workspace,
-        (x, frozen): (&mut Vec<f64>, &mut Frozen),
-        (steps, tolerance_n): (usize, f64),
-        progress: &dyn Fn(Progress),
-    ) -> Result<(usize, f64)> {
-        let limits = Limits {
-            steps,
-            max_move_m: self.settings.max_move_m.min(LBFGS_MOVE_M),
-            tolerance_n,
-            patience: LBFGS_PATIENCE,
-        };
-        let conservative = self.conservative();
-        let mut problem = Relaxing {
-            solver: self,
-            prepared,
-            start,
-            workspace,
-            frozen,
-            searched: Vec::new(),
-            held: 0,
-            conservative,
-            count: 0,
-            progress,
-        };
-        let answer = descend(x, &limits, &mut problem);
-        self.release();
-        answer
     }
 
     fn solve_lbfgs(
@@ -243,15 +215,16 @@ impl Solver {
         let mut frozen = self.first_pairs(prepared, pairs, &mut workspace, x)?;
         let steps = self.settings.iterations * LBFGS_STEPS;
         let tolerance = self.settings.tolerance_n;
-        let (iterations, residual) =
-            self.lbfgs(prepared, start, &mut workspace, (x, &mut frozen), (steps, tolerance), progress)?;
-        let outcome = if residual <= self.settings.tolerance_n { Outcome::Converged } else { Outcome::IterationLimit };
+        let relaxed =
+            self.relax(prepared, start, &mut workspace, (x, &mut frozen), (Guide::Past, steps, tolerance), progress)?;
+        let outcome =
+            if relaxed.residual_n <= self.settings.tolerance_n { Outcome::Converged } else { Outcome::IterationLimit };
         let report = SolveReport {
             outcome,
             method: Method::Lbfgs,
             residual_n: 0.0,
             residual_vertex: 0,
-            iterations,
+            iterations: relaxed.steps,
             factorisations: 0,
             evaluations: 0,
             rounds: 0,
@@ -298,7 +271,7 @@ impl Solver {
     }
 
     /// New pairs where they are clearly better than the old ones of touching vertices, and how many of those changed.
-    fn kept(
+    pub(super) fn kept(
         &self,
         prepared: &Prepared<'_>,
         old: &Frozen,
@@ -307,7 +280,8 @@ impl Solver {
         x: &[f64],
         preference: f64,
     ) -> Result<(Frozen, usize)> {
-        let mut changed = 0;
+        let (mut changed, mut habits) = (0, old.habits.clone());
+        habits.resize(self.vertex_count(), Habit::default());
         if let Some(before) = &old.nearest {
             let mut touching = vec![false; self.vertex_count()];
             let now = Frozen::new(Some(new.clone()), Friction::none(0));
@@ -316,9 +290,12 @@ impl Solver {
                     touching[t.vertex as usize] = true;
                 }
             }
-            changed = prepared.keep_pairs(x, before, &mut new, &touching, (preference, self.forces.contact.margin));
+            let margin = self.forces.contact.margin;
+            changed = prepared.keep_pairs(x, before, &mut new, &touching, (preference, margin), &mut habits);
         }
-        Ok((Frozen::new(Some(new), Friction::none(self.vertex_count())), changed))
+        let mut out = Frozen::new(Some(new), Friction::none(self.vertex_count()));
+        out.habits = habits;
+        Ok((out, changed))
     }
 
     /// Residual, energies, contacts and soft modes at the end.
@@ -358,20 +335,29 @@ impl Solver {
         self.collision.contacts(&State::new(frame).with_body(state), self.forces.weights[3])
     }
 
-    /// Friction with the normal forces at `x`.
-    fn friction(
+    /// Friction with the normal forces at `x`, where those have not grown by leaps since `before`.
+    pub(super) fn friction(
         &self,
         prepared: &Prepared<'_>,
         frozen: &Frozen,
         workspace: &mut Workspace,
         x: &[f64],
-        start: &[Vec3],
+        (start, before): (&[Vec3], Option<&Friction>),
     ) -> Result<Friction> {
         let n = self.vertex_count();
         if self.settings.friction == 0.0 {
             return Ok(Friction::none(n));
         }
-        let touches = self.touches(prepared, frozen, workspace, x)?;
+        let mut touches = self.touches(prepared, frozen, workspace, x)?;
+        if let Some(before) = before {
+            let limits = before.limits();
+            for t in &mut touches {
+                let v = t.vertex as usize;
+                let grown = FRICTION_GROWTH * limits[v] / self.settings.friction;
+                let least = FRICTION_START * self.rest.vertex_masses[v] * self.forces.gravity.norm();
+                t.force = t.force.min(grown.max(least));
+            }
+        }
         let origin = match (prepared.scene.anchors, &prepared.scene.momentum) {
             (Some(anchors), _) => {
                 Error::check_length("anchors of friction", n, anchors.len())?;
@@ -398,58 +384,9 @@ impl Solver {
             Some(new) => self.kept(prepared, frozen, new, workspace, x, PREFERENCE * patience as f64)?,
             None => (Frozen::new(None, Friction::none(self.vertex_count())), 0),
         };
-        out.friction = self.friction(prepared, &out, workspace, x, start)?;
+        out.friction = self.friction(prepared, &out, workspace, x, (start, Some(&frozen.friction)))?;
         let friction_open = out.friction.change(&frozen.friction);
         let friction_limit = out.friction.change(&Friction::none(self.vertex_count()));
         Ok(Renewed { frozen: out, changed, friction_open, friction_limit })
-    }
-}
-
-/// A garment while [`descend`] moves it.
-struct Relaxing<'r, 's> {
-    solver: &'r mut Solver,
-    prepared: &'r Prepared<'s>,
-    start: &'r [Vec3],
-    workspace: &'r mut Workspace,
-    frozen: &'r mut Frozen,
-    /// Where contact pairs were last searched for.
-    searched: Vec<f64>,
-    /// Steps with the present stiffness.
-    held: usize,
-    conservative: bool,
-    count: usize,
-    progress: &'r dyn Fn(Progress),
-}
-
-impl Balance for Relaxing<'_, '_> {
-    fn forces(&mut self, x: &[f64], g: &mut Vec<f64>) -> Result<()> {
-        self.count += 1;
-        let energies = self.workspace.evaluate(self.solver, self.prepared, self.frozen, x, Some(g))?;
-        let (residual_n, energy_j) = (largest(g).0, total(&energies));
-        (self.progress)(Progress { round: 0, iteration: self.count, residual_n, energy_j });
-        Ok(())
-    }
-    fn renew(&mut self, x: &[f64]) -> Result<bool> {
-        let mut renewed = false;
-        if !self.conservative {
-            // In between, forces are the gradient of an energy.
-            if self.held.is_multiple_of(HOLD_STEPS) {
-                self.solver.hold(self.workspace.set(x))?;
-                renewed = true;
-            }
-            self.held += 1;
-        }
-        if self.prepared.scene.body.is_none() {
-            return Ok(renewed);
-        }
-        if !self.searched.is_empty() && largest(&moved(x, -1.0, &self.searched)).0 < SEARCH_M {
-            return Ok(renewed);
-        }
-        let Some(new) = self.prepared.search(self.workspace.set(x))? else { return Ok(renewed) };
-        let (kept, _) = self.solver.kept(self.prepared, self.frozen, new, self.workspace, x, 0.0)?;
-        self.searched = x.to_vec();
-        *self.frozen = kept;
-        self.frozen.friction = self.solver.friction(self.prepared, self.frozen, self.workspace, x, self.start)?;
-        Ok(true)
     }
 }

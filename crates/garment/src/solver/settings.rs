@@ -13,10 +13,12 @@ pub struct SolverSettings {
     pub tolerance_n: f64,
     /// Most Newton steps over all rounds. Default 400.
     pub iterations: usize,
-    /// Most L-BFGS steps before the first Newton step of a pose with a body. They end earlier near rest, or where forces no longer
-    /// fall. Default 6000: some two hundred cost as much as one Newton step, and they find the contact pairs and buckles
-    /// that Newton's would stumble over one after the other.
+    /// Most L-BFGS steps before all others of a pose with a body. They end earlier near rest, or where forces no longer fall.
+    /// Default 500: some fifty cost as much as one Newton step, and they untangle a wild start.
     pub warm_steps: usize,
+    /// Most L-BFGS steps after those that take their first guess from a factorised tangent matrix, ending likewise. Default 1000:
+    /// some ten cost as much as one Newton step. Contact pairs, friction and frozen stiffness settle in them.
+    pub guided_steps: usize,
     /// Longest move of a vertex in one step [m]. Default 20 mm: less than the radius of a wrist, so that nothing jumps through a
     /// limb.
     pub max_move_m: f64,
@@ -39,7 +41,8 @@ impl Default for SolverSettings {
         Self {
             tolerance_n: 1e-8,
             iterations: 400,
-            warm_steps: 6000,
+            warm_steps: 500,
+            guided_steps: 1000,
             max_move_m: 0.02,
             steps_per_round: 6,
             rounds: 100,

@@ -12,6 +12,9 @@ use caphy_core::{Error, Real, Result, Vec3};
 
 const LANES: usize = <f64 as Real>::LANES;
 
+/// A touching vertex that has come back to a body vertex so often, squared, changes for one that is nearer by this share more.
+const RETURN: f64 = 0.1;
+
 /// Contact pairs and friction of one round.
 #[derive(Debug, Clone)]
 pub(super) struct Frozen {
@@ -20,12 +23,29 @@ pub(super) struct Frozen {
     /// The same per garment vertex.
     single: Vec<u32>,
     pub(super) friction: Friction,
+    /// What each garment vertex touched before; empty where nothing is remembered.
+    pub(super) habits: Vec<Habit>,
 }
 
 impl Frozen {
     pub(super) fn new(nearest: Option<Vec<u32>>, friction: Friction) -> Self {
         let single = nearest.iter().flatten().step_by(LANES).copied().collect();
-        Self { nearest, single, friction }
+        Self { nearest, single, friction, habits: Vec::new() }
+    }
+}
+
+/// Body vertices that a garment vertex touched before its present one, and how often it came back to one of them.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Habit {
+    /// Youngest first; ids plus 1, so that 0 is none.
+    before: [u32; 3],
+    returns: u32,
+}
+
+impl Habit {
+    fn change(&mut self, from: u32, to: u32) {
+        self.returns += u32::from(self.before.contains(&(to + 1)));
+        self.before = [from + 1, self.before[0], self.before[1]];
     }
 }
 
@@ -175,11 +195,12 @@ impl<'a> Prepared<'a> {
     pub(super) fn has_body_vertex(&self, id: u32) -> bool {
         (id as usize) < self.body[0].len()
     }
-    /// Keeps touching vertices, `[garment vertex]`, at their old body vertex unless the new one is nearer by a share of `preference`;
-    /// answers how many changed.
+    /// Keeps touching vertices, `[garment vertex]`, at their old body vertex unless the new one is nearer by a share of `preference`,
+    /// and more where they have come back before; answers how many changed.
     ///
     /// Where two limbs press cloth between them, the nearest vertex lies now on one side, now on the other, and each pushes
-    /// it centimetres into the other. So a vertex that is still outside one surface, or less deep in it, stays with that one.
+    /// it centimetres into the other. So a vertex that is still outside one surface, or less deep in it, stays with that one. In a
+    /// hollow, outside means outside of both surfaces: there it is held off the one that it is deeper in.
     pub(super) fn keep_pairs(
         &self,
         x: &[f64],
@@ -187,6 +208,7 @@ impl<'a> Prepared<'a> {
         new: &mut [u32],
         touching: &[bool],
         (preference, margin): (f64, f64),
+        habits: &mut [Habit],
     ) -> usize {
         let [points, normals] = &self.body;
         let mut changed = 0;
@@ -200,10 +222,14 @@ impl<'a> Prepared<'a> {
             let along = |id: usize, to: &[f64; 3]| -> f64 { (0..3).map(|k| normals[id][k] * to[k]).sum() };
             let depth = |id: usize| margin - along(id, &[0, 1, 2].map(|k| at[k] - points[id][k]));
             // Beginning to touch the other surface is one thing, being thrown deep into it another.
-            let thrown = along(a, &normals[b]) < 0.0 && depth(b) > depth(a).max(margin);
-            if thrown || distance(a) <= distance(b) * (1.0 + preference) {
+            let thrown = depth(b) > depth(a).max(margin);
+            let across: f64 = (0..3).map(|k| (normals[a][k] - normals[b][k]) * (points[a][k] - points[b][k])).sum();
+            let hollow = across < 0.0 && depth(a) > depth(b);
+            let preference = preference + RETURN * f64::from(habits[v].returns).powi(2);
+            if thrown || hollow || distance(a) <= distance(b) * (1.0 + preference) {
                 new.copy_from_slice(old);
             } else {
+                habits[v].change(old[0], new[0]);
                 changed += 1;
             }
         }
@@ -323,7 +349,14 @@ mod tests {
         let lanes = |id: u32| vec![id; LANES];
         let after = |x: [f64; 3], old: u32, new: u32, touching: bool, preference: f64| {
             let mut pairs = lanes(new);
-            let changed = prepared.keep_pairs(&x, &lanes(old), &mut pairs, &[touching], (preference, 2e-3));
+            let changed = prepared.keep_pairs(
+                &x,
+                &lanes(old),
+                &mut pairs,
+                &[touching],
+                (preference, 2e-3),
+                &mut [Habit::default()],
+            );
             assert_eq!(changed, usize::from(touching && pairs == lanes(new) && old != new));
             pairs[0]
         };

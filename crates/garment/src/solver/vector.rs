@@ -1,6 +1,6 @@
 //! Sums over flat vectors in a fixed order, eight at a time.
 
-use caphy_core::simd_kernel;
+use caphy_core::{Real, simd_kernel};
 
 /// Σ a b, the same bits on every machine: eight partial sums, added in order.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -19,24 +19,30 @@ pub(super) fn moved(x: &[f64], step: f64, d: &[f64]) -> Vec<f64> {
 
 simd_kernel! {
     fn products<T>(a: &[T], b: &[T]) -> T {
-        let mut sums = [T::zero(); 8];
-        let (a, b) = (&a[..a.len().min(b.len())], &b[..a.len().min(b.len())]);
-        let (blocks_a, rest_a) = (a.chunks_exact(8), a.chunks_exact(8).remainder());
-        let (blocks_b, rest_b) = (b.chunks_exact(8), b.chunks_exact(8).remainder());
-        for (a, b) in blocks_a.zip(blocks_b) {
-            for l in 0..8 {
-                sums[l] += a[l] * b[l];
-            }
-        }
-        let mut total = T::zero();
-        for sum in sums {
-            total += sum;
-        }
-        for (a, b) in rest_a.iter().zip(rest_b) {
-            total += *a * *b;
-        }
-        total
+        partial_products(a, b)
     }
+}
+
+/// [`dot`] inside of other kernels.
+#[inline(always)]
+pub(super) fn partial_products<T: Real>(a: &[T], b: &[T]) -> T {
+    let mut sums = [T::zero(); 8];
+    let (a, b) = (&a[..a.len().min(b.len())], &b[..a.len().min(b.len())]);
+    let (blocks_a, rest_a) = (a.chunks_exact(8), a.chunks_exact(8).remainder());
+    let (blocks_b, rest_b) = (b.chunks_exact(8), b.chunks_exact(8).remainder());
+    for (a, b) in blocks_a.zip(blocks_b) {
+        for l in 0..8 {
+            sums[l] += a[l] * b[l];
+        }
+    }
+    let mut total = T::zero();
+    for sum in sums {
+        total += sum;
+    }
+    for (a, b) in rest_a.iter().zip(rest_b) {
+        total += *a * *b;
+    }
+    total
 }
 
 simd_kernel! {
