@@ -38,6 +38,9 @@ pub struct EquilibriumSettings {
     /// What the mesh adds to the standard deviation of a logarithm. Default 0.15: cloth cut into other triangles of the same size
     /// gives values within 30 %; twice as fine or coarse, take 0.35. Only for data of this very mesh, 0.
     pub mesh_log_sd: f64,
+    /// Where poses fit worse than the scans' noise, the misfit (of the body, the cut, the model) is taken as alike over patches of this
+    /// size [m], so that thousands of points do not make up for it. Default 0.05: folds and limbs are of this size.
+    pub misfit_length_m: f64,
     /// Friction coefficients between which the fit is repeated at the end where there is contact; half their spread is added to the
     /// interval. Default 0, 0.3, 0.6: nobody measured it. Empty: the configured one is believed.
     pub friction_spread: Vec<f64>,
@@ -62,6 +65,7 @@ impl Default for EquilibriumSettings {
             ease_sd: 0.0,
             body_offset_sd_m: 0.0,
             mesh_log_sd: 0.15,
+            misfit_length_m: 0.05,
             friction_spread: vec![0.0, 0.3, 0.6],
             held_above: 0.5,
             soft_modes: 4,
@@ -87,6 +91,7 @@ impl EquilibriumSettings {
             ("tolerance", self.tolerance),
             ("robust_at", self.robust_at),
             ("held_above", self.held_above),
+            ("misfit_length_m", self.misfit_length_m),
         ];
         for (key, value) in positive {
             if !(value > 0.0 && value.is_finite()) {

@@ -246,7 +246,7 @@ impl Solver {
         start: &[Vec3],
     ) -> Result<Frozen> {
         let mut frozen = self.first_pairs(prepared, None, workspace, x)?;
-        frozen.friction = self.friction(prepared, &frozen, workspace, x, start)?;
+        frozen.friction = self.friction(prepared, &frozen, workspace, x, (start, None))?;
         Ok(frozen)
     }
 

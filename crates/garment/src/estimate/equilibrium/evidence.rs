@@ -110,7 +110,8 @@ pub struct EquilibriumEstimate {
     pub combinations: Vec<Combination>,
     /// The poses.
     pub poses: Vec<PoseReport>,
-    /// Factor on the noise's variance, from how much worse than it the poses fit; at least 1.
+    /// Factor on the noise's variance, from how much worse than it the poses fit
+    /// ([`super::super::EquilibriumSettings::misfit_length_m`]); at least 1.
     pub inflation: f64,
     /// What the mesh adds to each standard deviation of a logarithm.
     pub mesh_log_sd: f64,
@@ -122,6 +123,14 @@ pub struct EquilibriumEstimate {
     pub evaluations: usize,
     /// What the user must know.
     pub warnings: Vec<String>,
+}
+
+/// Factor on the noise's variance for a χ² per degree of freedom. What exceeds noise by more than chance (three standard deviations
+/// of χ²) is a wrong model rather than more noise: alike over a patch of the cloth with `per_patch` measurements, which then say
+/// together what one would.
+fn inflation(chi2: f64, freedom: usize, per_patch: f64) -> f64 {
+    let misfit = chi2 - 1.0 - 3.0 * (2.0 / freedom as f64).sqrt();
+    chi2.max(1.0).max(1.0 + misfit * per_patch.max(1.0))
 }
 
 impl Fit<'_> {
@@ -217,17 +226,19 @@ impl Fit<'_> {
             None => own,
         }
     }
-    /// χ² over its expectation, of the poses that took part.
+    /// Factor on the noise's variance, from how much worse than it the poses that took part fit.
     fn inflation(&self, trials: &[Option<Trial>]) -> f64 {
-        let (mut sum, mut count) = (0.0, 0);
+        let (mut sum, mut count, mut poses) = (0.0, 0, 0);
         for (i, trial) in trials.iter().enumerate().filter(|(i, _)| !self.state.left_out[*i]) {
             let Some(trial) = trial else { continue };
             let (chi2, n) = trial.chi2(self.poses[i].sigma, self.settings.robust_at);
             sum += chi2;
             count += n;
+            poses += 1;
         }
         let freedom = count.saturating_sub(self.unknowns.len()).max(1);
-        (sum / freedom as f64).max(1.0)
+        let patches = self.problem.rest.area() / self.settings.misfit_length_m.powi(2) * f64::from(poses.max(1));
+        inflation(sum / freedom as f64, freedom, count as f64 / patches.max(1.0))
     }
 
     /// Fits again with other friction, and says by how much the unknowns then differ.
@@ -400,10 +411,13 @@ impl Fit<'_> {
             out.push(format!("at its bound: {}", bound.join(", ")));
         }
         if inflation > 2.0 {
+            let taken: Vec<f64> = poses.iter().filter(|p| p.left_out.is_none()).map(|p| p.chi2).collect();
+            let chi2 = taken.iter().sum::<f64>() / taken.len().max(1) as f64;
             out.push(format!(
-                "the poses fit {:.1} times worse than the scans' noise: registration, friction or the cut are off; intervals are \
-                 widened, but assume that what is off is random",
-                inflation.sqrt()
+                "the poses fit {:.1} times worse than the scans' noise: body, registration, friction or the cut are off; intervals are \
+                 widened as if that were alike over {:.0} mm, but know of nothing that is off everywhere",
+                chi2.sqrt(),
+                1e3 * self.settings.misfit_length_m
             ));
         }
         for pose in poses {
@@ -440,4 +454,20 @@ fn inverse(m: &DMatrix<f64>) -> Result<DMatrix<f64>> {
             "give a finite prior to every unknown",
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::inflation;
+
+    #[test]
+    fn chance_widens_little_and_a_wrong_model_by_all_its_neighbours() {
+        assert_eq!(inflation(0.98, 5000, 40.0), 1.0);
+        // Three standard deviations of χ² of 5000 are 0.06.
+        assert_eq!(inflation(1.05, 5000, 40.0), 1.05);
+        let wrong = inflation(9.0, 5000, 40.0);
+        assert!((wrong - (1.0 + 7.94 * 40.0)).abs() < 1e-9, "{wrong}");
+        // A sparse scan has no neighbours.
+        assert_eq!(inflation(9.0, 5000, 0.5), 9.0);
+    }
 }
