@@ -25,8 +25,8 @@ pub struct SyntheticConfig {
     /// Root mean square of a smooth displacement of the skin that no shape coefficient describes [m]. Default 0.
     #[serde(default)]
     pub displacement_m: f64,
-    /// Edge length of the simulated garments [m]. Default 0.027, about 1400 vertices: six seconds of processor time per garment and
-    /// pose; make it finer than the pipeline's templates where time allows.
+    /// Edge length of the simulated garments [m]. Default 0.027, about 1500 vertices: one to three seconds of processor time per garment
+    /// and pose; make it finer than the pipeline's templates where time allows.
     #[serde(default = "garment_resolution")]
     pub resolution_m: f64,
     /// Coulomb's friction coefficient of cloth on skin and cloth. Default 0.3, cotton on cotton; without it garments slide off
