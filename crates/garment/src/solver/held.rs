@@ -2,6 +2,7 @@
 
 use super::Solver;
 use super::newton::{Newton, Stop};
+use super::relaxation::Guide;
 use super::scene::Scene;
 use super::solution::{Method, Outcome, Progress, Solution, SolveReport};
 use super::state::flat;
@@ -30,7 +31,7 @@ impl Solver {
         self.release();
         let prepared = Prepared::new(self, scene)?;
         let mut workspace = Workspace::new(self.vertex_count());
-        let frozen = match earlier {
+        let mut frozen = match earlier {
             Some(earlier) => {
                 Error::check_length("vertices of the earlier solution", self.vertex_count(), earlier.positions.len())?;
                 let pairs = earlier.pairs().unwrap_or_default();
@@ -47,6 +48,19 @@ impl Solver {
             None => self.contacts_at(&prepared, &mut workspace, &x, start)?,
         };
         let settings = self.settings;
+        let mut factorisations = 0;
+        if prepared.scene.body.is_some() && settings.guided_steps > 0 {
+            let mut relaxed = x.clone();
+            let how = (Guide::FactorHeld, settings.guided_steps, self.handover_n());
+            let answer = self.relax(&prepared, start, &mut workspace, (&mut relaxed, &mut frozen), how, progress);
+            // A start that is too wild for it is left to Newton's steps.
+            if let Ok(answer) = answer
+                && relaxed.iter().all(|x| x.is_finite())
+            {
+                x = relaxed;
+                factorisations = answer.factorisations;
+            }
+        }
         let mut newton = Newton::new(self);
         let steps = (settings.iterations, settings.tolerance_n);
         let stop = newton.run(self, &prepared, &frozen, &mut workspace, &mut x, steps, progress)?;
@@ -60,7 +74,7 @@ impl Solver {
             residual_n: 0.0,
             residual_vertex: 0,
             iterations: newton.iterations,
-            factorisations: newton.factorisations,
+            factorisations: factorisations + newton.factorisations,
             evaluations: 0,
             rounds: 1,
             damped: newton.damped,

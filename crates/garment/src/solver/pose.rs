@@ -129,8 +129,7 @@ impl Solver {
         let touching = prepared.scene.body.is_some();
         let mut factorisations = 0;
         if touching {
-            let weight = self.rest.mass() * self.forces.gravity.norm() / self.vertex_count().max(1) as f64;
-            let tolerance = settings.tolerance_n.max(HANDOVER * weight);
+            let tolerance = self.handover_n();
             for (guide, steps) in [(Guide::Past, settings.warm_steps), (Guide::Factor, settings.guided_steps)] {
                 if steps == 0 {
                     continue;
@@ -235,6 +234,12 @@ impl Solver {
             soft_modes: Vec::new(),
         };
         self.finish(prepared, frozen, workspace, x, report)
+    }
+
+    /// Force at which Newton's steps take over [N].
+    pub(super) fn handover_n(&self) -> f64 {
+        let weight = self.rest.mass() * self.forces.gravity.norm() / self.vertex_count().max(1) as f64;
+        self.settings.tolerance_n.max(HANDOVER * weight)
     }
 
     /// Contact pairs and friction as they are found at `x`.

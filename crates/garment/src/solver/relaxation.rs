@@ -29,6 +29,8 @@ pub(super) enum Guide {
     Past,
     /// From the projected second derivative, factorised now and then.
     Factor,
+    /// The same, and contact pairs and friction stay as they are.
+    FactorHeld,
 }
 
 impl Guide {
@@ -36,13 +38,13 @@ impl Guide {
     fn hold(self) -> usize {
         match self {
             Self::Past => 30,
-            Self::Factor => 5,
+            Self::Factor | Self::FactorHeld => 5,
         }
     }
     /// Steps between two looks at friction; it is renewed with contact pairs, too.
     fn friction(self) -> usize {
         match self {
-            Self::Past => usize::MAX,
+            Self::Past | Self::FactorHeld => usize::MAX,
             Self::Factor => 10,
         }
     }
@@ -50,7 +52,7 @@ impl Guide {
     fn patience(self) -> usize {
         match self {
             Self::Past => 500,
-            Self::Factor => 150,
+            Self::Factor | Self::FactorHeld => 150,
         }
     }
     /// Steps that one factor serves.
@@ -155,7 +157,7 @@ impl Balance for Relaxation<'_, '_> {
             self.solver.hold(self.workspace.set(x))?;
             renewed = true;
         }
-        if self.prepared.scene.body.is_none() {
+        if self.prepared.scene.body.is_none() || self.guide == Guide::FactorHeld {
             return Ok(renewed);
         }
         if self.searched.is_empty() || largest(&moved(x, -1.0, &self.searched)).0 >= SEARCH_M {
