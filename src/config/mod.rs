@@ -503,11 +503,14 @@ pub struct EvaluateConfig {
     /// An `.npz` with true joints, arrays `<scan name>__joints55` of shape (55, 3) [m] in SMPL-X order, NaN where unknown. Only
     /// evaluation reads it.
     pub ground_truth: Option<PathBuf>,
+    /// Of a synthetic subject: also bring its templates, made of the true fabrics, to rest in the held-out scans' poses by the
+    /// reference solver, as a floor for nets. Default false: it costs as much as simulating these poses.
+    pub solver_floor: bool,
 }
 
 impl Default for EvaluateConfig {
     fn default() -> Self {
-        Self { penetration_m: 1e-3, ground_truth: None }
+        Self { penetration_m: 1e-3, ground_truth: None, solver_floor: false }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::experiment::{Experiment, TINY, edited, files, header, value};
 use caphy::config::Config;
+use caphy::measure::Fit;
 use caphy::runner::Run;
 use caphy::stage::animate::Film;
 use caphy::stage::evaluate::Scores;
@@ -148,7 +149,18 @@ fn what_was_fitted_is_near_the_truth() {
         assert_eq!(scan.garments.len(), 2);
         for garment in &scan.garments {
             // Vertices are 5 cm apart: a point on a well-placed triangle is up to 29 mm from the nearest corner.
-            assert!(garment.scan_to_garment_mm < 40.0, "{}: {garment:?}", scan.name);
+            assert!(garment.net.scan_to_garment_mm < 40.0, "{}: {garment:?}", scan.name);
+            // The scan lies on the true garment, but for noise of half a millimetre; nothing is nearer than that.
+            let truth = garment.truth.as_ref().expect("the truth is known");
+            assert!(truth.scan_to_garment_mm < 1.0 && truth.scan_to_garment_mm < garment.net.scan_to_garment_mm);
+            assert!(truth.normal_map < garment.net.normal_map && truth.ms_ssim < garment.net.ms_ssim, "{garment:?}");
+            // A mean square is never below the squared mean.
+            let Fit { scan_to_garment_mm: mean, scan_to_garment_mm2: square, .. } = garment.net;
+            assert!(square >= mean * mean, "{garment:?}");
+            assert!(garment.solver.is_none(), "not asked for");
+            // Two scans are learnt from: each has the other one.
+            assert!(garment.nearest_scan_deg.is_some_and(|a| a > 0.0 && a < 180.0), "{garment:?}");
+            assert!(garment.nearest_motion_deg.is_some_and(|a| a > 0.0 && a < 180.0), "{garment:?}");
         }
     }
     assert_eq!(scores.fabrics.len(), 2);
