@@ -109,6 +109,21 @@ pub fn load<T: DeserializeOwned>(path: &Path, stage: &str, key: &str) -> Result<
     Ok(Some((value, header.content)))
 }
 
+/// The value of an artifact whatever it was made of, for looking at other runs.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Format`] for a file that is damaged, or of another stage or version.
+pub fn open<T: DeserializeOwned>(path: &Path, stage: &str) -> Result<T> {
+    let (header, _) = read(path)?;
+    let remedy = "run its experiment again with this version";
+    let wrong = |problem: String| Error::format(path, "header", problem, remedy);
+    match load(path, stage, &header.key) {
+        Ok(Some((value, _))) => Ok(value),
+        Ok(None) => Err(wrong(format!("is a {} of version {}", header.stage, header.version))),
+        Err(error) => Err(wrong(format!("does not hold what this version writes: {error}"))),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -14,6 +14,7 @@ pub mod fixed_shape;
 pub mod garment;
 pub mod inference;
 pub mod inputs;
+pub mod manifest;
 pub mod measure;
 pub mod motion;
 pub mod moving;

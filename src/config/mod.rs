@@ -5,10 +5,12 @@
 
 mod check;
 pub(crate) mod place;
+mod set;
 mod silent;
 mod synthetic;
 mod weights;
 
+pub use set::Setting;
 pub use synthetic::{RestScale, RigConfig, SyntheticConfig, Texture};
 pub use weights::{Ramp, Schedule, TermWeights};
 
@@ -582,22 +584,40 @@ impl Config {
     /// [`Error::Format`] with line and column of what TOML or a type does not know, [`Error::Config`] for values that cannot
     /// be used or have no effect, [`Error::Plugin`] for libraries.
     pub fn parse_with(path: &Path, text: &str, plugins: &mut Plugins) -> Result<Config> {
-        let table = parse_table(path, text)?;
+        Self::parse_set(path, text, &[], plugins)
+    }
+
+    /// As [`Config::parse_with`], with settings that take the place of the file's own.
+    ///
+    /// # Errors
+    /// As [`Config::parse_with`]; what is wrong because of a setting names it.
+    pub fn parse_set(path: &Path, text: &str, settings: &[Setting], plugins: &mut Plugins) -> Result<Config> {
+        let written = parse_table(path, text)?;
+        let table = set::applied(&written, settings)?;
         let files = ProjectFiles::new(path.parent().unwrap_or(Path::new(".")));
         // Before anything else is read: the types below may be theirs.
         for library in libraries(&table) {
             plugins.load(&files.resolve(&library)?)?;
         }
         plugins.settle(path);
+        Self::from_table(path, text, &table, plugins).map_err(|error| {
+            set::blame(error, settings, |others| {
+                Self::from_table(path, text, &set::applied(&written, others)?, plugins).map(drop)
+            })
+        })
+    }
+
+    /// A table, which stands in `text`, as a configuration.
+    fn from_table(path: &Path, text: &str, table: &toml::Table, plugins: &Plugins) -> Result<Config> {
         let read = |table: &toml::Table| -> std::result::Result<Config, String> {
             table.clone().try_into().map_err(|e: toml::de::Error| e.message().trim().to_string())
         };
-        let mut config = read(&table)
-            .map_err(|message| place::error(path, text, "", &table, &message, &|table| read(table).err()))?;
+        let mut config =
+            read(table).map_err(|message| place::error(path, text, "", table, &message, &|table| read(table).err()))?;
         for (kind, key, chosen) in config.tables_mut() {
             chosen.resolve_in(plugins, kind, path, text, key)?;
         }
-        silent::check(&table, &config)?;
+        silent::check(table, &config)?;
         config.check()?;
         // Those of the command line, too: the run depends on them.
         config.plugin = plugins.paths().map(|path| PluginConfig { path: path.into() }).collect();
@@ -611,8 +631,13 @@ impl Config {
 
     /// As [`Config::read`], with more libraries loaded before.
     pub fn read_with(path: &Path, plugins: &mut Plugins) -> Result<Config> {
+        Self::read_set(path, &[], plugins)
+    }
+
+    /// As [`Config::read_with`], with settings that take the place of the file's own.
+    pub fn read_set(path: &Path, settings: &[Setting], plugins: &mut Plugins) -> Result<Config> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-        Self::parse_with(path, &text, plugins)
+        Self::parse_set(path, &text, settings, plugins)
     }
 
     /// The garments that are modelled, upper first, with the names of their tables.

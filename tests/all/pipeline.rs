@@ -1,12 +1,16 @@
 //! One tiny run is made once; what follows it happens in copies.
 
+use crate::commands::text;
 use crate::experiment::{Experiment, TINY, edited, files, header, value};
 use caphy::config::Config;
+use caphy::manifest::Manifest;
 use caphy::measure::Fit;
-use caphy::runner::Run;
+use caphy::plugins::Plugins;
+use caphy::runner::{Run, compare, replay};
 use caphy::stage::animate::Film;
 use caphy::stage::evaluate::Scores;
 use caphy::stage::train::Nets;
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -169,11 +173,82 @@ fn what_was_fitted_is_near_the_truth() {
 #[test]
 fn a_second_run_does_nothing() {
     let experiment = Experiment::copy_of(finished(), TINY);
-    let before = files(&experiment.out());
+    let mut before = files(&experiment.out());
     let summary = experiment.run();
     assert!(summary.ran.is_empty(), "ran {:?}", summary.ran);
     assert!(summary.table.contains("scan-02 (held out)"), "{}", summary.table);
-    assert!(files(&experiment.out()) == before, "files changed");
+    let mut after = files(&experiment.out());
+    // The copy's configuration lies elsewhere, and nothing else is new.
+    let (old, new) = (before.remove("run.json"), after.remove("run.json"));
+    let manifest =
+        |bytes: Option<Vec<u8>>| -> Manifest { serde_json::from_slice(&bytes.expect("run.json")).expect("JSON") };
+    let (old, new) = (manifest(old), manifest(new));
+    assert_ne!(old.base, new.base);
+    assert_eq!(Manifest { base: old.base.clone(), ..new }, old);
+    assert!(after == before, "files changed");
+    assert!(old.stages.keys().map(String::as_str).collect::<BTreeSet<_>>() == STAGES.into(), "{:?}", old.stages);
+    assert!(
+        old.inputs.keys().map(String::as_str).eq(["scan scan-00", "scan scan-01", "scan scan-02"]),
+        "{:?}",
+        old.inputs
+    );
+    // Unless it is told to.
+    let again = |run: Run| run.from("export")?.until("export")?.all();
+    let summary = Run::open(&experiment.config(), Some(experiment.out())).and_then(again);
+    assert_eq!(summary.unwrap_or_else(|e| panic!("{e}")).ran, ["export"]);
+    let export = &files(&experiment.out())["export.caphy"];
+    assert!(export == &before["export.caphy"], "exported again with other bits");
+}
+
+#[test]
+fn settings_take_the_place_of_the_files_own() {
+    let experiment = Experiment::copy_of(finished(), &edited(TINY, &[("out = \"out\"", "out = \"../run/out\"")]));
+    let above = experiment.folder.path().join("run");
+    std::fs::create_dir(&above).expect("a folder");
+    std::fs::rename(experiment.out(), above.join("out")).expect("moved");
+    std::fs::create_dir(experiment.folder.path().join("configs")).expect("a folder");
+    std::fs::rename(experiment.config(), experiment.folder.path().join("configs/experiment.toml")).expect("moved");
+    let run = |more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_caphy"));
+        command.current_dir(experiment.folder.path()).args(["run", "configs/experiment.toml"]).args(more);
+        let output = command.output().expect("the program ends");
+        (output.status.success(), text(&output.stdout) + &text(&output.stderr))
+    };
+    let (ended, said) = run(&["--set", "evaluate.penetration_m=1e-2", "--set", "animate.clip.seed = 12"]);
+    assert!(ended && said.contains("Ran evaluate, animate, export, report"), "{said}");
+    // Where the report lies is said without detours.
+    assert!(said.contains("Report: run/out/report.html\n"), "{said}");
+    let manifest = Manifest::read(&above.join("out")).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(manifest.set, ["evaluate.penetration_m=0.01", "animate.clip.seed=12"]);
+    let resolved = Config::read(&above.join("out/config.toml")).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(resolved.evaluate.penetration_m, 1e-2);
+
+    for (setting, words) in [
+        ("train.roundz=3", ["--set train.roundz=3", "rounds"]),
+        ("train.rounds=many", ["--set train.rounds=\"many\"", "invalid type"]),
+        ("upper.material.fabric=silk", ["--set upper.material.fabric=\"silk\"", "gray-interlock"]),
+        ("train.batch=17", ["--set train.batch=17", "give 1 to 16"]),
+        ("upper.style=[0.5]", ["--set upper.style=[0.5]", "found from the scans"]),
+    ] {
+        // Beside one that is right.
+        let (ended, said) = run(&["--set", "train.rounds=3", "--set", setting]);
+        assert!(!ended && words.iter().all(|w| said.contains(w)), "{setting}: {said}");
+    }
+    // Two runs beside each other.
+    let between = compare([finished(), &above.join("out")]).unwrap_or_else(|e| panic!("{e}"));
+    let keys: Vec<&str> = between.config.iter().map(|c| c.name.as_str()).collect();
+    assert_eq!(keys, ["animate.clip.seed", "evaluate.penetration_m"]);
+    // What penetrates is counted while the clip is played, too.
+    let stages: Vec<&str> = between.stages.iter().map(|c| c.name.as_str()).collect();
+    assert_eq!(stages, ["animate", "evaluate"]);
+    assert!(between.data.is_empty() && between.code.is_some(), "the tests are another program");
+    let name = "upper, held out: scan → surface, mm";
+    let row = between.results.iter().find(|r| r.name == name).expect("a mean");
+    assert!(row.first.is_some() && row.first == row.second);
+    let said = between.text();
+    for word in ["animate.clip.seed: 11 → 12", "Data: the same", name, "+0.0 %"] {
+        assert!(said.contains(word), "{word} is missing in {said}");
+    }
 }
 
 #[test]
@@ -233,11 +308,27 @@ fn another_fabric_keeps_the_fitted_body() {
 }
 
 #[test]
-fn one_thread_gives_the_same_bits_as_two() {
-    let experiment = Experiment::new(TINY);
-    let summary = on_threads(1, || experiment.try_run()).unwrap_or_else(|e| panic!("{e}"));
-    assert_eq!(summary.ran, STAGES);
-    assert_same_results(&experiment.out());
+fn a_replay_on_one_thread_gives_the_same_bits_as_two() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("again");
+    let mut plugins = Plugins::new().expect("the linked types");
+    let replayed = on_threads(1, || replay(finished(), Some(out.clone()), &mut plugins));
+    let replayed = replayed.unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(replayed.summary.ran, STAGES);
+    assert!(replayed.is_same(), "{}", replayed.text());
+    assert!(replayed.text().contains("The same bits in 9 of 9 stages"), "{}", replayed.text());
+    assert_same_results(&out);
+    // What was tampered with is named; nothing is run again for that.
+    let copy = Experiment::copy_of(finished(), TINY);
+    damage(&copy.out().join("scans/scan-01.ply"));
+    std::fs::write(copy.out().join("pictures/new.png"), b"new").expect("written");
+    let mut plugins = Plugins::new().expect("the linked types");
+    let changed = replay(&copy.out(), Some(out.clone()), &mut plugins).unwrap_or_else(|e| panic!("{e}"));
+    assert!(changed.summary.ran.is_empty() && !changed.is_same());
+    assert_eq!(changed.files, ["pictures/new.png", "scans/scan-01.ply"]);
+    let mut plugins = Plugins::new().expect("the linked types");
+    let itself = replay(&out, Some(out.clone()), &mut plugins).expect_err("no replay into itself").to_string();
+    assert!(itself.contains("is the run itself"), "{itself}");
 }
 
 /// Artifacts and files of a run against those of the uninterrupted run on two threads.
