@@ -3,6 +3,7 @@
 //!
 //! The stages in [`stage`] follow the paper's method section; [`runner`] runs them in order and skips what is done.
 
+pub mod ablation;
 pub mod artifact;
 pub mod avatar;
 pub mod config;
@@ -18,6 +19,7 @@ pub mod manifest;
 pub mod measure;
 pub mod motion;
 pub mod moving;
+mod page;
 pub mod physics;
 pub mod pictures;
 pub mod plan;

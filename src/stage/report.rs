@@ -7,11 +7,13 @@ use super::optimise::{Estimates, GarmentFabric};
 use super::preprocess::Subject;
 use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
+use crate::page;
+pub(crate) use crate::page::table;
 use crate::plot::{Axes, Curve, escape, lines, number};
 use crate::trainer::CurvePoint;
 use crate::training;
 use caphy_core::material::{MembraneBlock, MembraneCall};
-use caphy_core::{Error, Result};
+use caphy_core::Result;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -51,19 +53,9 @@ impl StageOutput for Page {
     }
 }
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}\
-h1,h2{font-weight:600}h2{margin-top:2em;border-bottom:1px solid #ddd}img{max-width:100%}\
-table{border-collapse:collapse;margin:.6em 0}td,th{padding:.2em .7em;border-bottom:1px solid #e4e4e4;text-align:right}\
-td:first-child,th:first-child{text-align:left}.plot{width:48%;min-width:420px}\
-.warn{background:#fff6e0;border-left:4px solid #d99a1c;padding:.5em 1em}";
-
 /// Writes the page.
 pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
-    let mut html = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>caphy report</title><style>{STYLE}{plot}</style>\
-         <h1>caphy report</h1>",
-        plot = crate::plot::STYLE,
-    );
+    let mut html = page::head("caphy report");
     overview(&mut html, inputs);
     let picture = |html: &mut String, title: &str, name: &str, text: &str| -> Result<()> {
         let source = embedded(context, name)?;
@@ -129,38 +121,7 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
 
 /// A picture of the run directory as a data URL.
 fn embedded(context: &Context<'_>, name: &str) -> Result<String> {
-    let path = context.folder.join(name);
-    let bytes = std::fs::read(&path).map_err(|e| Error::io(&path, "read", e))?;
-    Ok(format!("data:image/png;base64,{}", base64(&bytes)))
-}
-
-/// Standard base64 with padding (RFC 4648).
-fn base64(bytes: &[u8]) -> String {
-    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let value = chunk.iter().fold(0u32, |v, b| v << 8 | u32::from(*b)) << (8 * (3 - chunk.len()));
-        for k in 0..4 {
-            if k <= chunk.len() {
-                out.push(char::from(LETTERS[(value >> (18 - 6 * k) & 63) as usize]));
-            } else {
-                out.push('=');
-            }
-        }
-    }
-    out
-}
-
-/// A table with a head, its cells escaped.
-pub(crate) fn table(html: &mut String, head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
-    let cells =
-        |tag: &str, row: &[String]| -> String { row.iter().map(|c| format!("<{tag}>{}</{tag}>", escape(c))).collect() };
-    let head: Vec<String> = head.iter().map(|h| h.to_string()).collect();
-    let _ = write!(html, "<table><tr>{}</tr>", cells("th", &head));
-    for row in rows {
-        let _ = write!(html, "<tr>{}</tr>", cells("td", &row));
-    }
-    html.push_str("</table>");
+    page::embedded(&context.folder.join(name))
 }
 
 fn overview(html: &mut String, inputs: &Inputs<'_>) {
@@ -358,16 +319,4 @@ fn fabrics(html: &mut String, context: &Context<'_>, inputs: &Inputs<'_>) -> Res
         }
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn base64_meets_the_standard_vectors() {
-        for (text, code) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
-            assert_eq!(base64(text.as_bytes()), code);
-        }
-    }
 }

@@ -78,19 +78,30 @@ fn a_run_ends_with_a_report_that_holds_its_pictures() {
     for (name, png) in pictures {
         assert!(html.contains(&start_of_data_url(png)), "{name} is not in the report");
     }
-    for from_elsewhere in ["src=\"", "href=\""] {
-        for (at, _) in html.match_indices(from_elsewhere) {
-            let target = &html[at + from_elsewhere.len()..];
-            assert!(
-                target.starts_with("data:") || target.starts_with("export/"),
-                "the report needs {}",
-                target.chars().take(60).collect::<String>()
-            );
-        }
-    }
+    assert_self_contained(html);
     assert!(html.contains("<svg"), "the report has no curves");
     let config = std::str::from_utf8(&all["config.toml"]).expect("text");
     Config::parse(Path::new("config.toml"), config).unwrap_or_else(|e| panic!("{e}"));
+}
+
+/// Nothing is fetched: neither from the network nor from files beside the page.
+pub(crate) fn assert_self_contained(html: &str) {
+    // Pictures and plots hold none of these by chance: base64 has no quotes and no brackets.
+    let attributes = ["src=", "href=", "url(", "srcset=", "data=", "action=", "poster=", "import "];
+    for attribute in attributes {
+        for (at, _) in html.match_indices(attribute) {
+            // `data=` and the like within a word of base64 are no attributes.
+            if attribute != "url(" && !html[..at].ends_with([' ', '@']) {
+                continue;
+            }
+            let target = html[at + attribute.len()..].trim_start_matches(['"', '\'']);
+            let shown: String = target.chars().take(60).collect();
+            assert!(target.starts_with("data:image/"), "the page needs {attribute}{shown}");
+        }
+    }
+    for tag in ["<script", "<link", "<iframe", "<base", "http:", "https:"] {
+        assert!(!html.contains(tag), "the page has {tag}");
+    }
 }
 
 #[test]
