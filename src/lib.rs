@@ -6,6 +6,7 @@
 pub mod ablation;
 pub mod artifact;
 pub mod avatar;
+pub mod colours;
 pub mod config;
 pub mod conformity;
 pub mod dressed;

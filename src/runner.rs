@@ -355,7 +355,7 @@ impl Run {
         }
         let (exported, export_hash) =
             self.stage("export", &part(&["finetune"]), &format!("{film_hash}{scan_hash}"), |cx| {
-                stage::export::run(cx, &subject, &avatar, film.as_ref())
+                stage::export::run(cx, &subject, &avatar, film.as_ref(), &scans)
             })?;
         if !self.plan.has("report") {
             return Ok(tables);

@@ -286,8 +286,13 @@ pub enum ClipConfig {
     Tracked {
         /// The file.
         path: PathBuf,
-        /// Upward axis of its world: `"y"`, `"-y"` (most cameras), `"z"`, … No default: the file does not say.
-        up: UpAxis,
+        /// Upward axis of its world: `"y"`, `"-y"` (most cameras), `"z"`, … No default: the file does not say. This or `gravity`.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        up: Option<UpAxis>,
+        /// Direction in which things fall in its world, of any length: a camera that looks down by an angle a has
+        /// `[0, cos a, sin a]`, with x right, y down, z away. In place of `up`.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        gravity: Option<[f64; 3]>,
         /// What its translation means, as for `amass`.
         #[serde(default)]
         translation: Translation,
@@ -340,8 +345,11 @@ pub enum ClipConfig {
     },
 }
 
+/// Default of a tracked clip's `smoothing_s` [s].
+pub const TRACKED_SMOOTHING: f64 = 0.03;
+
 fn tracked_smoothing() -> f64 {
-    0.03
+    TRACKED_SMOOTHING
 }
 
 /// The rate of the CMU database's clips, which its files do not say [1/s].

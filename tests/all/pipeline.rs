@@ -9,6 +9,7 @@ use caphy::plugins::Plugins;
 use caphy::runner::{Run, compare, replay};
 use caphy::stage::animate::Film;
 use caphy::stage::evaluate::Scores;
+use caphy::stage::export::Exported;
 use caphy::stage::train::Nets;
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -73,7 +74,7 @@ fn start_of_data_url(png: &[u8]) -> String {
 fn a_run_ends_with_a_report_that_holds_its_pictures() {
     let all = files(finished());
     let html = std::str::from_utf8(&all["report.html"]).expect("text");
-    let pictures: Vec<_> = all.iter().filter(|(name, _)| name.starts_with("pictures/")).collect();
+    let pictures: Vec<_> = all.iter().filter(|(name, _)| name.starts_with("pictures/") && !name.ends_with("colours.png")).collect();
     assert!(pictures.len() >= 4, "{} pictures", pictures.len());
     for (name, png) in pictures {
         assert!(html.contains(&start_of_data_url(png)), "{name} is not in the report");
@@ -116,6 +117,22 @@ fn the_avatar_is_exported() {
     assert_eq!(meshes, ["body", "upper", "lower"]);
     assert_eq!(scene["skins"].as_array().map(Vec::len), Some(1));
     assert_eq!(scene["animations"].as_array().map(Vec::len), Some(1));
+    // In the scans' colours: upper and lower garment of a generated person differ.
+    for mesh in scene["meshes"].as_array().expect("meshes") {
+        assert!(mesh["primitives"][0]["attributes"]["COLOR_0"].is_u64(), "{} has no colours", mesh["name"]);
+    }
+    let mean = |part: &str| {
+        let name = format!("export/{part}.ply");
+        let scan = caphy_formats::ply::read_ply(Path::new(&name), &all[&name]).expect("a PLY");
+        let colours = scan.colours.expect("colours");
+        assert_eq!(colours.len(), scan.mesh.vertices.len());
+        [0, 1, 2].map(|k| colours.iter().map(|c| f64::from(c[k])).sum::<f64>() / colours.len() as f64)
+    };
+    let (upper, lower) = (mean("upper"), mean("lower"));
+    let apart: f64 = (0..3).map(|k| (upper[k] - lower[k]).powi(2)).sum::<f64>().sqrt();
+    assert!(apart > 30.0, "{upper:?} {lower:?}");
+    let exported: Exported = value(finished(), "export");
+    assert!(exported.coloured.iter().all(|(_, share)| *share > 0.3), "{:?}", exported.coloured);
 
     // 1 s at 30 fps are 31 frames, every fifth from the first on as OBJ.
     for part in ["body", "upper", "lower"] {
