@@ -369,7 +369,7 @@ impl Run {
             scores: scores.as_ref(),
             comparison: compared.as_ref(),
             film: film.as_ref(),
-            exported: &exported.files,
+            exported: &exported,
             timings: &timings,
         };
         // The list of exported files says nothing of what is in them, so that the report looks at the film, too.

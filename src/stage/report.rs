@@ -1,19 +1,23 @@
 //! `report.html`: one self-contained page with pictures of every stage, curves, and the tables.
 
+mod remarks;
+
 use super::animate::{Film, strip_frames};
 use super::compare::Comparison;
 use super::evaluate::Scores;
+use super::export::Exported;
 use super::optimise::{Estimates, GarmentFabric};
 use super::preprocess::Subject;
 use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
 use crate::page;
 pub(crate) use crate::page::table;
+use crate::plan::ScenePlan;
 use crate::plot::{Axes, Curve, escape, lines, number};
 use crate::trainer::CurvePoint;
 use crate::training;
-use caphy_core::material::{MembraneBlock, MembraneCall};
 use caphy_core::Result;
+use caphy_core::material::{MembraneBlock, MembraneCall};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -36,7 +40,7 @@ pub struct Inputs<'a> {
     /// The played clip, where one was.
     pub film: Option<&'a Film>,
     /// Exported files.
-    pub exported: &'a [PathBuf],
+    pub exported: &'a Exported,
     /// Seconds per stage, milliseconds per step.
     pub timings: &'a BTreeMap<String, f64>,
 }
@@ -56,15 +60,24 @@ impl StageOutput for Page {
 /// Writes the page.
 pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
     let mut html = page::head("caphy report");
-    overview(&mut html, inputs);
+    overview(&mut html, context, inputs);
     let picture = |html: &mut String, title: &str, name: &str, text: &str| -> Result<()> {
         let source = embedded(context, name)?;
         let (title, text) = (escape(title), escape(text));
         let _ = write!(html, "<h2>{title}</h2><p>{text}</p><img alt=\"{title}\" src=\"{source}\">");
         Ok(())
     };
+    list(&mut html, "Warnings", "warn", &remarks::warnings(inputs));
     if let Some(played) = inputs.film {
         film(&mut html, &embedded(context, "pictures/strip.png")?, played);
+    }
+    if inputs.scans.truth.is_some() {
+        picture(
+            &mut html,
+            "The subject",
+            "truth/scans.png",
+            "A generated person in clothes of known fabric, at rest by the reference solver in every pose, as a capture rig sees them.",
+        )?;
     }
     if !inputs.subject.scans.is_empty() {
         picture(
@@ -108,15 +121,32 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
         html.push_str(&comparison.plots());
         let _ = write!(html, "<pre>{}</pre>", escape(&comparison.table()));
     }
-    let files: Vec<String> = inputs.exported.iter().take(12).map(|f| escape(&f.display().to_string())).collect();
+    if let Some(name) = &inputs.exported.picture {
+        let text = "A scan, the avatar in its pose, and the avatar in the colours of the scans that were learnt from.";
+        picture(&mut html, "Colours", &name.display().to_string(), text)?;
+        let rows =
+            inputs.exported.coloured.iter().map(|(part, share)| vec![part.clone(), format!("{:.0}", 100.0 * share)]);
+        table(&mut html, &["part", "vertices that scans show, %"], rows);
+    }
+    list(&mut html, "Limits that apply", "limits", &remarks::limits(context.config, inputs));
+    let files: Vec<String> = inputs.exported.files.iter().take(12).map(|f| escape(&f.display().to_string())).collect();
     let _ = write!(
         html,
         "<h2>Files</h2><p>{} exported, among them:</p><pre>{}</pre></html>",
-        inputs.exported.len(),
+        inputs.exported.files.len(),
         files.join("\n")
     );
     context.write("report.html", html.as_bytes())?;
     Ok(Page { file: "report.html".into() })
+}
+
+/// Sentences under a title; nothing for none.
+fn list(html: &mut String, title: &str, class: &str, sentences: &[String]) {
+    if sentences.is_empty() {
+        return;
+    }
+    let items: String = sentences.iter().map(|s| format!("<li>{}</li>", escape(s))).collect();
+    let _ = write!(html, "<h2>{title}</h2><ul class=\"{class}\">{items}</ul>");
 }
 
 /// A picture of the run directory as a data URL.
@@ -124,7 +154,7 @@ fn embedded(context: &Context<'_>, name: &str) -> Result<String> {
     page::embedded(&context.folder.join(name))
 }
 
-fn overview(html: &mut String, inputs: &Inputs<'_>) {
+fn overview(html: &mut String, context: &Context<'_>, inputs: &Inputs<'_>) {
     let held = inputs.subject.scans.iter().filter(|s| s.held_out).count();
     let (scans, vertices) = (
         inputs.subject.scans.len(),
@@ -133,8 +163,12 @@ fn overview(html: &mut String, inputs: &Inputs<'_>) {
     let vertices: Vec<String> = vertices.collect();
     let kind = if inputs.scans.truth.is_some() { "synthetic subject" } else { "subject" };
     let _ = write!(html, "<p>{kind}, {scans} scans ({held} held out), garments: {}.</p>", vertices.join(", "));
-    let rows = inputs.timings.iter().filter(|(name, _)| !name.ends_with("ms"));
-    table(html, &["stage", "s"], rows.map(|(name, seconds)| vec![name.clone(), format!("{seconds:.1}")]));
+    let mut rows: Vec<(&str, f64)> = Vec::new();
+    for stage in ScenePlan::new(context.config).stages {
+        rows.extend(inputs.timings.get(stage.name).map(|seconds| (stage.name, *seconds)));
+    }
+    rows.push(("all", rows.iter().map(|row| row.1).sum()));
+    table(html, &["stage", "s"], rows.iter().map(|(name, seconds)| vec![name.to_string(), format!("{seconds:.1}")]));
     let steps = inputs.timings.iter().filter(|(name, _)| name.ends_with("ms"));
     table(html, &["training step, all threads", "median ms"], steps.map(|(n, ms)| vec![n.clone(), format!("{ms:.1}")]));
 }
@@ -148,7 +182,7 @@ fn film(html: &mut String, strip: &str, film: &Film) {
         html,
         "<h2>The avatar moves</h2><style>@keyframes play{{to{{background-position:-{end}px -{margin}px}}}}</style>\
          <div style=\"width:{width}px;height:{height}px;background:url({strip}) -{margin}px -{margin}px;\
-         animation:play {seconds:.2}s steps({frames}) infinite\"></div>",
+         animation:play {seconds:.2}s steps({frames}) infinite\" role=\"img\" aria-label=\"the avatar in motion\"></div>",
         end = margin + frames * step,
     );
     let rows = film
@@ -184,9 +218,6 @@ fn fits(html: &mut String, inputs: &Inputs<'_>) {
         for note in &scan.notes {
             let _ = write!(html, "<p>Scan {} {}.</p>", escape(&scan.name), escape(note));
         }
-    }
-    for scan in &inputs.subject.skipped {
-        let _ = write!(html, "<p>Scan {} was left out: {}</p>", escape(&scan.name), escape(&scan.problem));
     }
 }
 

@@ -74,12 +74,16 @@ fn start_of_data_url(png: &[u8]) -> String {
 fn a_run_ends_with_a_report_that_holds_its_pictures() {
     let all = files(finished());
     let html = std::str::from_utf8(&all["report.html"]).expect("text");
-    let pictures: Vec<_> = all.iter().filter(|(name, _)| name.starts_with("pictures/") && !name.ends_with("colours.png")).collect();
+    let pictures: Vec<_> = all.iter().filter(|(name, _)| name.starts_with("pictures/")).collect();
     assert!(pictures.len() >= 4, "{} pictures", pictures.len());
     for (name, png) in pictures {
         assert!(html.contains(&start_of_data_url(png)), "{name} is not in the report");
     }
     assert_self_contained(html);
+    assert!(html.contains(&start_of_data_url(&all["truth/scans.png"])), "the subject is not in the report");
+    for part in ["Warnings", "Limits that apply", "@keyframes", "VGG-16", "2 scans to learn from", "Colours"] {
+        assert!(html.contains(part), "`{part}` is not in the report");
+    }
     assert!(html.contains("<svg"), "the report has no curves");
     let config = std::str::from_utf8(&all["config.toml"]).expect("text");
     Config::parse(Path::new("config.toml"), config).unwrap_or_else(|e| panic!("{e}"));
@@ -103,6 +107,43 @@ pub(crate) fn assert_self_contained(html: &str) {
     for tag in ["<script", "<link", "<iframe", "<base", "http:", "https:"] {
         assert!(!html.contains(tag), "the page has {tag}");
     }
+}
+
+/// Whether a browser without a window draws the page in full, with every picture. Skipped where there is none.
+#[test]
+fn a_browser_shows_the_report() {
+    let names = ["chromium", "chromium-browser", "google-chrome", "headless_shell"];
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let found = std::env::split_paths(&path).flat_map(|folder| names.map(|n| folder.join(n))).find(|p| p.is_file());
+    let Some(browser) = found else {
+        use std::io::Write;
+        // Straight to the terminal: what the print macros write is only shown for tests that fail.
+        let _ = writeln!(std::io::stderr(), "SKIPPED: the report is not opened, there is no {}", names.join(", "));
+        return;
+    };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    // Alone in its folder: what it needs from elsewhere is not there.
+    let page = folder.path().join("report.html");
+    let mut html = std::fs::read_to_string(finished().join("report.html")).expect("the report");
+    let count = "<p id=\"drawn\"></p><script>addEventListener('load',()=>{const all=[...document.images];\
+                 document.getElementById('drawn').textContent='drawn '+all.filter(i=>i.complete&&i.naturalWidth>99).length+\
+                 ' of '+all.length})</script>";
+    html = html.replace("</html>", &format!("{count}</html>"));
+    std::fs::write(&page, &html).expect("written");
+    let profile = folder.path().join("profile");
+    let output = Command::new(&browser)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=20000", "--dump-dom"])
+        .arg(format!("--user-data-dir={}", profile.display()))
+        .arg(&page)
+        .stderr(Stdio::null())
+        .output()
+        .expect("the browser starts");
+    let drawn = String::from_utf8_lossy(&output.stdout).to_string();
+    let pictures = html.matches("<img ").count();
+    assert!(pictures >= 6 && drawn.contains(&format!("drawn {pictures} of {pictures}")), "{}", {
+        let at = drawn.rfind("id=\"drawn\"").unwrap_or(0);
+        drawn[at..].chars().take(80).collect::<String>()
+    });
 }
 
 #[test]
