@@ -26,10 +26,12 @@ use caphy_garment::estimate::reduction;
 use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::GarmentKind;
 use caphy_render::Layer;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// All measurements.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -133,16 +135,9 @@ impl Scores {
             if rows.is_empty() {
                 continue;
             }
-            let _ = writeln!(
-                out,
-                "{kind}, mean of {} {} {:>20} {:>9} {:>9} {:>9}",
-                rows.len(),
-                if any { "held-out scans" } else { "scans         " },
-                "avatar",
-                "skinned",
-                "solver*",
-                "truth*"
-            );
+            let scans = if any { "held-out scans" } else { "scans" };
+            let title = format!("{kind}, mean of {} {scans}", rows.len());
+            let _ = writeln!(out, "{title:<50} {:>9} {:>9} {:>9} {:>9}", "avatar", "skinned", "solver*", "truth*");
             // One column of means; none where a row has none.
             let column = |fit: fn(&GarmentScore) -> Option<&Fit>| -> Option<Vec<f64>> {
                 let all: Vec<_> = rows.iter().map(|g| Some(fit(g)?.named())).collect::<Option<_>>()?;
@@ -178,8 +173,8 @@ impl Scores {
             }
         }
         out.push_str(
-            "normal maps and MS-SSIM stand in for VGG-16's perceptual distance. *floors: the reference solver with the true fabric; \
-             the true garment.\n",
+            "Normal maps and MS-SSIM stand in for VGG-16's perceptual distance.\n\
+             *floors: the reference solver with the true fabric (evaluate.solver_floor), and the true garment.\n",
         );
         out
     }
@@ -296,40 +291,44 @@ pub fn run(
         .map(|fitted| Ok(scan_frames(context, subject, fitted, training.clone())?.visible))
         .collect::<Result<Vec<_>>>()?;
     let filters: Vec<SpectrumFilter> = subject.garments.iter().map(|g| SpectrumFilter::new(&g.mesh)).collect();
-    for (i, scan) in subject.scans.iter().enumerate() {
-        context.progress.set(0.9 * i as f64 / subject.scans.len() as f64, &scan.name);
-        let Some(file) = scans.list.iter().find(|file| file.name == scan.name) else { continue };
-        let surface = read_framed(context.files, file, &scan.frame)?.mesh;
-        let body = posed_body(&scene, &scan.pose)?;
-        let dressed = |shapes: &[Vec<Vec<Vec3>>]| Dressed {
-            body: &body,
-            garments: shapes.iter().zip(&subject.garments).map(|(s, g)| of_mesh(&s[i], &g.mesh)).collect(),
-        };
-        let (avatar_figure, skinned_figure) = (dressed(&worn), dressed(&skinned));
-        let solver_figure = solved.as_ref().filter(|s| !s[0][i].is_empty()).map(|shapes| dressed(shapes));
-        for (k, fitted) in subject.garments.iter().enumerate() {
-            let compared = ScanGarment::new(&scan.name, fitted.kind, &surface, &scan.points)?;
-            let fit = |figure: &Dressed<'_>| compared.compare(figure, k, &visible[k], &filters[k]);
-            rows[i].garments.push(GarmentScore {
-                kind: fitted.kind,
-                net: fit(&avatar_figure)?,
-                skinned: fit(&skinned_figure)?,
-                truth: scans
-                    .truth
-                    .as_ref()
-                    .and_then(|t| true_fit(&scene, t, i, scan, &compared).transpose())
-                    .transpose()?,
-                solver: solver_figure.as_ref().map(fit).transpose()?,
-                scan_spectrum: scan_spectrum(
-                    &scan.points,
-                    &avatar_figure.garments[k],
-                    fitted.kind,
-                    &visible[k],
-                    &filters[k],
-                ),
-                ..GarmentScore::unmeasured(fitted.kind)
-            });
-        }
+    let finished = AtomicUsize::new(0);
+    // One error for one input, whatever the number of threads.
+    let compared: Vec<Result<Vec<GarmentScore>>> = subject
+        .scans
+        .par_iter()
+        .enumerate()
+        .map(|(i, scan)| {
+            let Some(file) = scans.list.iter().find(|file| file.name == scan.name) else { return Ok(Vec::new()) };
+            let surface = read_framed(context.files, file, &scan.frame)?.mesh;
+            let body = posed_body(&scene, &scan.pose)?;
+            let dressed = |shapes: &[Vec<Vec<Vec3>>]| Dressed {
+                body: &body,
+                garments: shapes.iter().zip(&subject.garments).map(|(s, g)| of_mesh(&s[i], &g.mesh)).collect(),
+            };
+            let (avatar_figure, skinned_figure) = (dressed(&worn), dressed(&skinned));
+            let solver_figure = solved.as_ref().filter(|s| !s[0][i].is_empty()).map(|shapes| dressed(shapes));
+            let mut scores = Vec::new();
+            for (k, fitted) in subject.garments.iter().enumerate() {
+                let compared = ScanGarment::new(&scan.name, fitted.kind, &surface, &scan.points)?;
+                let fit = |figure: &Dressed<'_>| compared.compare(figure, k, &visible[k], &filters[k]);
+                let truth = scans.truth.as_ref().map(|t| true_fit(&scene, t, i, scan, &compared));
+                let garment = &avatar_figure.garments[k];
+                scores.push(GarmentScore {
+                    net: fit(&avatar_figure)?,
+                    skinned: fit(&skinned_figure)?,
+                    truth: truth.transpose()?.flatten(),
+                    solver: solver_figure.as_ref().map(fit).transpose()?,
+                    scan_spectrum: scan_spectrum(&scan.points, garment, fitted.kind, &visible[k], &filters[k]),
+                    ..GarmentScore::unmeasured(fitted.kind)
+                });
+            }
+            let count = finished.fetch_add(1, Ordering::Relaxed) + 1;
+            context.progress.set(0.9 * count as f64 / subject.scans.len() as f64, &scan.name);
+            Ok(scores)
+        })
+        .collect();
+    for (row, scores) in rows.iter_mut().zip(compared) {
+        row.garments = scores?;
     }
     for (k, (fitted, trained)) in subject.garments.iter().zip(&avatar.garments).enumerate() {
         let table = &context.config.garment(fitted.kind)?.material;
