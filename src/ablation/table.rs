@@ -185,8 +185,8 @@ impl Row {
             }
         };
         let paper = self.paper.map_or(String::new(), |p| {
-            let [a, b] = p.chamfer_mm.map(number);
-            let [c, d] = p.perceptual.map(number);
+            let [a, b] = p.chamfer_mm.map(|v| v.to_string());
+            let [c, d] = p.perceptual.map(|v| v.to_string());
             format!("{a}, {b}; {c}, {d}")
         });
         [
