@@ -9,7 +9,7 @@ use std::io::Write;
 use std::path::Path;
 
 /// Version of the artifact layout; raised when a stage's output type changes.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// First line of an artifact.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -107,6 +107,21 @@ pub fn load<T: DeserializeOwned>(path: &Path, stage: &str, key: &str) -> Result<
     let value = rmp_serde::from_slice(&body)
         .map_err(|e| Error::format(path, "body", e.to_string(), "delete the file: the stage will then run again"))?;
     Ok(Some((value, header.content)))
+}
+
+/// The value of an artifact whatever it was made of, for looking at other runs.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Format`] for a file that is damaged, or of another stage or version.
+pub fn open<T: DeserializeOwned>(path: &Path, stage: &str) -> Result<T> {
+    let (header, _) = read(path)?;
+    let remedy = "run its experiment again with this version";
+    let wrong = |problem: String| Error::format(path, "header", problem, remedy);
+    match load(path, stage, &header.key) {
+        Ok(Some((value, _))) => Ok(value),
+        Ok(None) => Err(wrong(format!("is a {} of version {}", header.stage, header.version))),
+        Err(error) => Err(wrong(format!("does not hold what this version writes: {error}"))),
+    }
 }
 
 #[cfg(test)]

@@ -34,6 +34,8 @@ pub struct Avatar {
     pub nets: Vec<TrainedGarment>,
     /// Which garment is outside.
     pub layering: LayeringOptions,
+    /// Vertex colours (sRGB) of body and garments, from scans; none where scans have none.
+    pub colours: Vec<Vec<[u8; 3]>>,
 }
 
 impl Avatar {
@@ -41,7 +43,7 @@ impl Avatar {
     ///
     /// # Errors
     /// [`Error::Config`] for a path with an unset variable.
-    pub fn new(context: &Context<'_>, subject: &Subject, nets: &Nets) -> Result<Self> {
+    pub fn new(context: &Context<'_>, subject: &Subject, nets: &Nets, colours: Vec<Vec<[u8; 3]>>) -> Result<Self> {
         let body = TableArgument { table: context.config.body.clone(), files: context.files.clone() }.anywhere()?;
         Ok(Self {
             body: body.to_string(),
@@ -52,6 +54,7 @@ impl Avatar {
             // The record of training is not part of what plays.
             nets: nets.garments.iter().map(|g| TrainedGarment { curve: Vec::new(), ..g.clone() }).collect(),
             layering: context.config.finetune.layering,
+            colours,
         })
     }
 

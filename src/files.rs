@@ -62,6 +62,13 @@ impl ProjectFiles {
     }
 }
 
+/// A path as a person at a shell would write it: without detours, relative where it lies below the working directory.
+pub fn shown(path: &Path) -> PathBuf {
+    let Ok(whole) = std::fs::canonicalize(path) else { return path.into() };
+    let here = std::env::current_dir().and_then(std::fs::canonicalize);
+    here.ok().and_then(|here| whole.strip_prefix(here).ok().map(Path::to_path_buf)).unwrap_or(whole)
+}
+
 impl Files for ProjectFiles {
     fn read(&self, path: &Path) -> Result<Vec<u8>> {
         let path = self.resolve(path)?;
@@ -77,6 +84,15 @@ impl Files for ProjectFiles {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn paths_are_shown_without_detours() {
+        // Tests run in the crate's folder.
+        assert_eq!(shown(Path::new("src/stage/../files.rs")), Path::new("src/files.rs"));
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(shown(&folder.path().join(".")), std::fs::canonicalize(folder.path()).unwrap());
+        assert_eq!(shown(Path::new("not/../there")), Path::new("not/../there"));
+    }
 
     #[test]
     fn unset_variables_and_missing_files_are_named() {

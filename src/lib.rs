@@ -3,8 +3,10 @@
 //!
 //! The stages in [`stage`] follow the paper's method section; [`runner`] runs them in order and skips what is done.
 
+pub mod ablation;
 pub mod artifact;
 pub mod avatar;
+pub mod colours;
 pub mod config;
 pub mod conformity;
 pub mod dressed;
@@ -14,8 +16,11 @@ pub mod fixed_shape;
 pub mod garment;
 pub mod inference;
 pub mod inputs;
+pub mod manifest;
+pub mod measure;
 pub mod motion;
 pub mod moving;
+mod page;
 pub mod physics;
 pub mod pictures;
 pub mod plan;

@@ -27,6 +27,9 @@ enum Command {
     /// Run every stage of an experiment, from scans to report; finished stages are not run again.
     #[command(after_help = command::run::EXAMPLES)]
     Run(command::run::Arguments),
+    /// Run an experiment with parts of the method left out, and compare.
+    #[command(after_help = command::ablation::EXAMPLES)]
+    Ablation(command::ablation::Arguments),
     /// Show what caphy has or reads, as tables and pictures.
     #[command(subcommand)]
     Show(command::show::What),
@@ -79,6 +82,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
     }
     match &cli.command {
         Command::Run(arguments) => command::run::run(arguments, &mut plugins),
+        Command::Ablation(arguments) => command::ablation::run(arguments, &plugins),
         Command::Show(what) => command::show::run(what, &plugins),
         Command::Views(arguments) => command::views::run(arguments, &mut plugins),
         Command::Train(arguments) => command::train::run(arguments, &mut plugins),

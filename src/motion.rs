@@ -11,6 +11,7 @@ use caphy_core::{Error, Result, Vec3};
 use caphy_formats::motion::{
     SkeletonMapping, SmplNpzOptions, TranslationMeaning, read_asf_amc, read_bvh, read_smpl_npz,
 };
+use nalgebra::UnitQuaternion;
 use std::path::{Path, PathBuf};
 
 /// Reads or generates one clip, looks for damage if there are `limits`, smooths and resamples it. `pelvis` is the body's rest
@@ -115,8 +116,13 @@ fn read(files: &ProjectFiles, clip: &ClipConfig, fps: f64, pelvis: &Vec3) -> Res
     match clip {
         ClipConfig::Procedural { kind, seed, seconds } => procedural_clip(*kind, *seed, *seconds, fps),
         ClipConfig::Amass { path, translation } => npz(path, SmplNpzOptions::amass((*translation).into())),
-        ClipConfig::Tracked { path, up, translation, fps, .. } => {
-            npz(path, SmplNpzOptions { up: *up, translation: (*translation).into(), fps: *fps })
+        ClipConfig::Tracked { path, up, gravity, translation, fps, .. } => {
+            let up = up.unwrap_or_default();
+            let clip = npz(path, SmplNpzOptions { up, translation: (*translation).into(), fps: *fps })?;
+            Ok(match gravity {
+                Some(gravity) => stood_up(clip, &Vec3::from(*gravity), pelvis),
+                None => clip,
+            })
         }
         ClipConfig::Bvh { path, mapping: map, metres_per_unit } => {
             let mut map = mapping(map, SkeletonMapping::cmu_bvh)?;
@@ -140,6 +146,21 @@ fn read(files: &ProjectFiles, clip: &ClipConfig, fps: f64, pelvis: &Vec3) -> Res
     }
 }
 
+/// The clip in a world in which things fall along -y, turned by the smallest rotation from one in which they fall along `gravity`;
+/// `pelvis` is the body's rest pelvis [m], about which roots rotate.
+fn stood_up(mut clip: MotionClip, gravity: &Vec3, pelvis: &Vec3) -> MotionClip {
+    // No axis is the smallest rotation's when everything stands on its head.
+    let half_turn = || UnitQuaternion::from_axis_angle(&Vec3::x_axis(), std::f64::consts::PI);
+    let turn = UnitQuaternion::rotation_between(gravity, &-Vec3::y()).unwrap_or_else(half_turn);
+    for pose in &mut clip.poses {
+        if let Some(root) = pose.rotations.first_mut() {
+            *root = (turn * UnitQuaternion::new(*root)).scaled_axis();
+        }
+        pose.translation = turn * (pelvis + pose.translation) - pelvis;
+    }
+    clip
+}
+
 impl From<Translation> for TranslationMeaning {
     fn from(translation: Translation) -> Self {
         match translation {
@@ -159,6 +180,35 @@ mod tests {
 
     fn config(text: &str) -> MotionConfig {
         toml::from_str(text).unwrap()
+    }
+
+    #[test]
+    fn a_tilted_camera_is_put_upright() {
+        use caphy_bodymodel::procedural_motion::MotionKind;
+        let pelvis = Vec3::new(0.01, 0.95, 0.02);
+        let upright = procedural_clip(MotionKind::Walk, 1, 0.5, 30.0).unwrap();
+        // What a camera sees that looks down by 25°, in its axes: x right, y down, z away.
+        let tilt = 25f64.to_radians();
+        let gravity = Vec3::new(0.0, tilt.cos(), tilt.sin());
+        let camera = UnitQuaternion::rotation_between(&-Vec3::y(), &gravity)
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vec3::x_axis(), std::f64::consts::PI));
+        let mut seen = upright.clone();
+        for pose in &mut seen.poses {
+            pose.rotations[0] = (camera * UnitQuaternion::new(pose.rotations[0])).scaled_axis();
+            pose.translation = camera * (pelvis + pose.translation) - pelvis;
+        }
+        let back = stood_up(seen.clone(), &(3.0 * gravity), &pelvis);
+        for (a, b) in back.poses.iter().zip(&upright.poses) {
+            // Heading is not known from gravity: both are the smallest rotations, there and back.
+            assert!((a.translation - b.translation).norm() < 1e-12);
+            let root = |p: &caphy_core::pose::Pose| UnitQuaternion::new(p.rotations[0]);
+            assert!(root(a).angle_to(&root(b)) < 1e-7 && a.rotations[1..] == b.rotations[1..]);
+        }
+        // An axis is a direction, too.
+        let along = stood_up(upright.clone(), &-Vec3::y(), &pelvis);
+        assert!((along.poses[3].translation - upright.poses[3].translation).norm() < 1e-12);
+        let over = stood_up(upright, &Vec3::y(), &pelvis);
+        assert!(over.poses[0].translation.y < -1.5, "{}", over.poses[0].translation);
     }
 
     #[test]

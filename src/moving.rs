@@ -42,6 +42,15 @@ pub trait MovingFigure: Sync {
     fn garments(&self) -> Vec<MovingGarment<'_>>;
     /// Vertices of a garment in a frame [m].
     fn garment_frame(&self, garment: usize, frame: usize) -> Result<Vec<Vec3>>;
+    /// Vertex colours (sRGB) of the body (0) and of its garments (from 1 on), where there are any.
+    fn colours(&self, _part: usize) -> Option<&[[u8; 3]]> {
+        None
+    }
+}
+
+/// The colours of a part, or one colour.
+fn colour_of(figure: &dyn MovingFigure, part: usize, otherwise: [u8; 3]) -> MeshColour<'_> {
+    figure.colours(part).map_or(MeshColour::Uniform(otherwise), MeshColour::PerVertex)
 }
 
 /// Files that a figure can be written as.
@@ -137,16 +146,16 @@ pub fn write(figure: &dyn MovingFigure, format: MovingFormat, folder: &Path) -> 
         vertex_count: figure.rest().vertices.len(),
         faces: &figure.rest().faces,
         uvs: None,
-        colour: MeshColour::Uniform(CLAY_SKIN),
+        colour: colour_of(figure, 0, CLAY_SKIN),
         frames: &body_frames,
     }];
-    for ((garment, name), frames) in garments.iter().zip(&names).zip(&garment_frames) {
+    for (g, ((garment, name), frames)) in garments.iter().zip(&names).zip(&garment_frames).enumerate() {
         meshes.push(MovingMesh {
             name: name.clone(),
             vertex_count: garment.mesh.vertices.len(),
             faces: &garment.mesh.faces,
             uvs: None,
-            colour: MeshColour::Uniform(garment_colour(garment.kind)),
+            colour: colour_of(figure, g + 1, garment_colour(garment.kind)),
             frames,
         });
     }
@@ -160,12 +169,13 @@ pub fn write(figure: &dyn MovingFigure, format: MovingFormat, folder: &Path) -> 
             files.push(path);
         }
         MovingFormat::Pc2 => {
-            for mesh in &meshes {
+            for (part, mesh) in meshes.iter().enumerate() {
                 let (surface, cache) =
                     (folder.join(format!("{}.obj", mesh.name)), folder.join(format!("{}.pc2", mesh.name)));
                 let mut vertices = Vec::new();
                 mesh.frame(0, &mut vertices)?;
-                write_atomically(&surface, &write_obj(&TriMesh { vertices, faces: mesh.faces.to_vec() }, None)?)?;
+                let first = TriMesh { vertices, faces: mesh.faces.to_vec() };
+                write_atomically(&surface, &write_obj(&first, figure.colours(part))?)?;
                 write_atomically_with(&cache, |out| write_pc2(&cache, out, mesh, Pc2Timing::default()))?;
                 files.extend([surface, cache]);
             }
@@ -197,14 +207,14 @@ fn write_glb_file(
     let mut meshes = vec![GlbMesh {
         name: "body".into(),
         mesh: figure.rest(),
-        colour: MeshColour::Uniform(CLAY_SKIN),
+        colour: colour_of(figure, 0, CLAY_SKIN),
         motion: GlbMotion::Skinned(skin.moving(&joint_names, &joints, &figure.clip().poses)),
     }];
-    for ((garment, name), frames) in garments.iter().zip(names).zip(frames) {
+    for (g, ((garment, name), frames)) in garments.iter().zip(names).zip(frames).enumerate() {
         meshes.push(GlbMesh {
             name: name.clone(),
             mesh: garment.mesh,
-            colour: MeshColour::Uniform(garment_colour(garment.kind)),
+            colour: colour_of(figure, g + 1, garment_colour(garment.kind)),
             motion: GlbMotion::Vertices(*frames),
         });
     }

@@ -22,6 +22,8 @@ pub struct PlannedStage {
     pub off: Option<String>,
     /// Whether its artifact is there and up to date.
     pub done: bool,
+    /// Whether it is run even where its artifact is up to date.
+    pub again: bool,
 }
 
 /// Stages of an experiment in their order.
@@ -70,7 +72,13 @@ impl ScenePlan {
     pub fn new(config: &Config) -> Self {
         let mut stages: Vec<PlannedStage> = Vec::new();
         let mut add = |name, needs: &[&'static str], off: Option<&str>| {
-            stages.push(PlannedStage { name, needs: needs.to_vec(), off: off.map(str::to_string), done: false });
+            stages.push(PlannedStage {
+                name,
+                needs: needs.to_vec(),
+                off: off.map(str::to_string),
+                done: false,
+                again: false,
+            });
         };
         let subject = match &config.subject {
             SubjectConfig::Synthetic(_) => {
@@ -118,7 +126,7 @@ impl ScenePlan {
             Some(_) => add("export", &[subject, avatar], None),
         }
         let shown: Vec<&'static str> = stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect();
-        stages.push(PlannedStage { name: "report", needs: shown, off: None, done: false });
+        stages.push(PlannedStage { name: "report", needs: shown, off: None, done: false, again: false });
         Self { stages, garments: Vec::new(), motion: None, scans: Vec::new() }
     }
 
@@ -127,17 +135,7 @@ impl ScenePlan {
     /// # Errors
     /// [`Error::Config`] for a stage that the experiment does not have, with those that it has.
     pub fn only(mut self, target: &str) -> Result<Self> {
-        match self.stages.iter().find(|s| s.name == target) {
-            Some(PlannedStage { off: None, .. }) => {}
-            Some(PlannedStage { off: Some(why), .. }) => {
-                return Err(Error::config("--only", format!("`{target}` is off: {why}"), "choose another stage"));
-            }
-            None => {
-                let on: Vec<&str> = self.stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect();
-                let remedy = format!("choose one of {}", on.join(", "));
-                return Err(Error::config("--only", format!("there is no stage `{target}`"), remedy));
-            }
-        }
+        self.find("--only", target)?;
         let mut wanted = vec![target.to_string()];
         // A stage's needs come before it.
         for stage in self.stages.iter_mut().rev().filter(|s| s.off.is_none()) {
@@ -150,6 +148,75 @@ impl ScenePlan {
         Ok(self)
     }
 
+    /// Narrows the plan to one stage and all before it.
+    ///
+    /// # Errors
+    /// As [`ScenePlan::only`].
+    pub fn until(mut self, target: &str) -> Result<Self> {
+        let last = self.find("--until", target)?;
+        for stage in self.stages[last + 1..].iter_mut().filter(|s| s.off.is_none()) {
+            stage.off = Some(format!("--until {target}"));
+        }
+        Ok(self)
+    }
+
+    /// Has one stage, and whatever uses its results, run again even where it is up to date.
+    ///
+    /// # Errors
+    /// As [`ScenePlan::only`].
+    pub fn from(mut self, target: &str) -> Result<Self> {
+        let first = self.find("--from", target)?;
+        self.stages[first].again = true;
+        let mut changed = vec![target];
+        // Whatever uses a stage comes after it.
+        for stage in self.stages[first + 1..].iter_mut().filter(|s| s.off.is_none()) {
+            if stage.needs.iter().any(|n| changed.contains(n)) {
+                stage.again = true;
+                changed.push(stage.name);
+            }
+        }
+        Ok(self)
+    }
+
+    /// Narrows the plan to stages that another run has.
+    ///
+    /// # Errors
+    /// [`Error::Config`] for a stage that this experiment does not have.
+    pub(crate) fn like<'n>(mut self, names: impl Iterator<Item = &'n String> + Clone) -> Result<Self> {
+        names.clone().try_for_each(|name| self.find("--replay", name).map(drop))?;
+        for stage in self.stages.iter_mut().filter(|s| s.off.is_none()) {
+            if !names.clone().any(|name| name == stage.name) {
+                stage.off = Some("the other run does not have it".into());
+            }
+        }
+        Ok(self)
+    }
+
+    /// Has every stage run again.
+    pub(crate) fn all_again(&mut self) {
+        self.stages.iter_mut().filter(|s| s.off.is_none()).for_each(|s| s.again = true);
+    }
+
+    /// The place of a stage that is on.
+    fn find(&self, option: &str, target: &str) -> Result<usize> {
+        match self.stages.iter().position(|s| s.name == target) {
+            Some(at) => match &self.stages[at].off {
+                None => Ok(at),
+                Some(why) => Err(Error::config(option, format!("`{target}` is off: {why}"), "choose another stage")),
+            },
+            None => {
+                let on: Vec<&str> = self.stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect();
+                let remedy = format!("choose one of {}", on.join(", "));
+                Err(Error::config(option, format!("there is no stage `{target}`"), remedy))
+            }
+        }
+    }
+
+    /// Whether a stage is run even where its artifact is up to date.
+    pub(crate) fn is_again(&self, stage: &str) -> bool {
+        self.stages.iter().any(|s| s.name == stage && s.again && s.off.is_none())
+    }
+
     /// Whether a stage is on.
     pub fn has(&self, stage: &str) -> bool {
         self.stages.iter().any(|s| s.name == stage && s.off.is_none())
@@ -158,7 +225,7 @@ impl ScenePlan {
     /// Notes that a stage's artifact is up to date.
     pub(crate) fn done(&mut self, stage: &str) {
         for planned in self.stages.iter_mut().filter(|s| s.name == stage) {
-            planned.done = true;
+            (planned.done, planned.again) = (true, false);
         }
     }
 
@@ -193,6 +260,7 @@ impl ScenePlan {
             let state = match (&stage.off, stage.done) {
                 (Some(why), _) => format!("off: {why}"),
                 (None, true) => "up to date".into(),
+                (None, false) if stage.again => "to run again".into(),
                 (None, false) => "to run".into(),
             };
             let _ = writeln!(out, "  {:18} {state}", stage.name);
@@ -253,4 +321,30 @@ fn terms(config: &Config, subject: &Subject, waistband: bool) -> Result<Vec<(&'s
         ("scan", or(weight("scan", &w.scan), subject.training_scans().next().is_none(), "there are no scans")),
         ("layering", or(weight("layering", &w.layering), subject.garments.len() < 2, "there is one garment")),
     ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn a_plan_is_narrowed_and_repeated_by_what_stages_use() {
+        let text = include_str!("../tests/all/tiny.toml");
+        let plan = || ScenePlan::new(&Config::parse(Path::new("tiny.toml"), text).unwrap());
+        let on = |plan: &ScenePlan| plan.stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect::<Vec<_>>();
+        let again = |plan: ScenePlan| plan.stages.iter().filter(|s| s.again).map(|s| s.name).collect::<Vec<_>>();
+        let road = ["synth", "preprocess", "train", "optimise", "train-optimised", "finetune", "evaluate"];
+        assert_eq!(on(&plan().until("evaluate").unwrap()), road);
+        assert_eq!(on(&plan().only("optimise").unwrap()), road[..4]);
+        assert_eq!(again(plan().from("animate").unwrap()), ["animate", "export", "report"]);
+        // Evaluation is not part of what is animated.
+        assert_eq!(again(plan().from("evaluate").unwrap()), ["evaluate", "report"]);
+        assert_eq!(again(plan().until("finetune").and_then(|p| p.from("optimise")).unwrap()), road[3..6]);
+        let said = plan().until("optimise").and_then(|p| p.from("finetune")).unwrap_err().to_string();
+        assert!(said.contains("--from") && said.contains("--until optimise"), "{said}");
+        let said = plan().from("training").unwrap_err().to_string();
+        assert!(said.contains("no stage `training`") && said.contains("finetune"), "{said}");
+        assert!(plan().from("compare").unwrap_err().to_string().contains("there is no [compare]"));
+    }
 }

@@ -40,7 +40,10 @@ impl SpectrumFilter {
     }
     /// Of one shape [m].
     pub fn of(&self, vertices: &[Vec3], faces: &[[u32; 3]]) -> Spectrum {
-        let mut normals = mesh::vertex_normals(vertices, faces);
+        self.of_normals(mesh::vertex_normals(vertices, faces))
+    }
+    /// Of unit normals at the vertices.
+    pub fn of_normals(&self, mut normals: Vec<Vec3>) -> Spectrum {
         let bands = self.passes.map(|passes| {
             let mut smooth = normals.clone();
             for _ in 0..passes {

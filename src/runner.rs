@@ -1,8 +1,15 @@
 //! Runs the stages in order, one artifact each; a stage whose inputs have not changed is not run again.
 
+mod difference;
+mod replay;
+
+pub use difference::{Changed, Difference, compare};
+pub use replay::{Replayed, replay};
+
 use crate::artifact;
-use crate::config::{Config, PluginConfig, SubjectConfig};
+use crate::config::{Config, PluginConfig, Setting, SubjectConfig};
 use crate::files::ProjectFiles;
+use crate::manifest::{CONFIG, Manifest, Program, StageRecord};
 use crate::plan::ScenePlan;
 use crate::plugins::Plugins;
 use crate::progress::Progress;
@@ -27,12 +34,13 @@ pub struct Run {
     profile: bool,
     ran: Vec<&'static str>,
     fabrics: Vec<stage::optimise::Estimates>,
+    manifest: Manifest,
     /// Held until the run is dropped: two processes in one folder would overwrite each other's checkpoints.
     _lock: std::fs::File,
 }
 
 /// What a run did.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Summary {
     /// The run directory.
     pub folder: PathBuf,
@@ -85,8 +93,25 @@ impl Run {
 
     /// As [`Run::open`], with libraries that were loaded before.
     pub fn open_with(config_path: &Path, out: Option<PathBuf>, plugins: &mut Plugins) -> Result<Run> {
-        let config = Config::read_with(config_path, plugins)?;
-        let files = ProjectFiles::new(config_path.parent().unwrap_or(Path::new(".")));
+        Self::open_set(config_path, out, &[], plugins)
+    }
+
+    /// As [`Run::open_with`], with settings that take the place of the file's own.
+    pub fn open_set(
+        config_path: &Path,
+        out: Option<PathBuf>,
+        settings: &[Setting],
+        plugins: &mut Plugins,
+    ) -> Result<Run> {
+        let config = Config::read_set(config_path, settings, plugins)?;
+        let mut run = Self::of(config, config_path.parent().unwrap_or(Path::new(".")), out)?;
+        run.manifest.set = settings.iter().map(Setting::to_string).collect();
+        Ok(run)
+    }
+
+    /// Opens (or makes) the run directory of a configuration whose relative paths start from `base`.
+    fn of(config: Config, base: &Path, out: Option<PathBuf>) -> Result<Run> {
+        let files = ProjectFiles::new(base);
         let folder = match out {
             Some(out) => out,
             None => files.resolve(&config.run.out)?,
@@ -103,12 +128,26 @@ impl Run {
         }
         let resolved = toml::to_string(&config)
             .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
-        artifact::write_atomically(&folder.join("config.toml"), resolved.as_bytes())?;
+        artifact::write_atomically(&folder.join(CONFIG), resolved.as_bytes())?;
         let timings = std::fs::read(folder.join("timings.json"))
             .ok()
             .and_then(|bytes| serde_json::from_slice(&bytes).ok())
             .unwrap_or_default();
         let plan = ScenePlan::new(&config);
+        let base = if base.as_os_str().is_empty() { Path::new(".") } else { base };
+        let mut manifest = Manifest {
+            program: Program::running()?,
+            base: std::path::absolute(base).map_err(|e| Error::io(base, "find", e))?,
+            seed: config.run.seed,
+            set: Vec::new(),
+            inputs: BTreeMap::new(),
+            stages: BTreeMap::new(),
+        };
+        // A narrowed run leaves what it does not look at as it was.
+        if let Ok(old) = Manifest::read(&folder) {
+            manifest.stages = old.stages.into_iter().filter(|(name, _)| plan.has(name)).collect();
+            manifest.inputs = old.inputs;
+        }
         Ok(Run {
             config,
             files,
@@ -119,8 +158,14 @@ impl Run {
             profile: false,
             ran: Vec::new(),
             fabrics: Vec::new(),
+            manifest,
             _lock: lock,
         })
+    }
+
+    /// The resolved configuration.
+    pub fn config(&self) -> &Config {
+        &self.config
     }
 
     /// Narrows the run to one stage and what it needs.
@@ -129,6 +174,24 @@ impl Run {
     /// As [`ScenePlan::only`].
     pub fn only(mut self, target: &str) -> Result<Self> {
         self.plan = self.plan.only(target)?;
+        Ok(self)
+    }
+
+    /// Narrows the run to one stage and all before it.
+    ///
+    /// # Errors
+    /// As [`ScenePlan::only`].
+    pub fn until(mut self, target: &str) -> Result<Self> {
+        self.plan = self.plan.until(target)?;
+        Ok(self)
+    }
+
+    /// Has one stage, and whatever uses its results, run again even where it is up to date.
+    ///
+    /// # Errors
+    /// As [`ScenePlan::only`].
+    pub fn from(mut self, target: &str) -> Result<Self> {
+        self.plan = self.plan.from(target)?;
         Ok(self)
     }
 
@@ -144,6 +207,7 @@ impl Run {
             Halt::Failed(error) => error,
             Halt::NotDone(stage) => Error::unsupported(stage, "a run that only plans"),
         })?;
+        self.manifest.write(&self.folder)?;
         let report = self.plan.has("report").then(|| self.folder.join("report.html"));
         let profile = self.timings().into_iter().filter(|(name, _)| name.starts_with(PROFILE)).collect();
         Ok(Summary { folder: self.folder, ran: self.ran, table: told, profile, fabrics: self.fabrics, report })
@@ -273,10 +337,12 @@ impl Run {
             (avatar, avatar_hash) =
                 self.stage("finetune", &key, &hash, |cx| stage::finetune::run(cx, &subject, &nets))?;
         }
+        // Labels and poses may stay as they were where colours or triangles of a scan have changed.
+        let scan_hash = stage::scans::hash_scans(&self.files, &scans)?;
         let (mut scores, mut scores_hash) = (None, String::new());
         if self.plan.has("evaluate") {
             let key = part(&["upper", "lower", "body", "net", "motion", "train", "finetune", "evaluate", "subject"]);
-            let (measured, hash) = self.stage("evaluate", &key, &avatar_hash, |cx| {
+            let (measured, hash) = self.stage("evaluate", &key, &format!("{avatar_hash}{scan_hash}"), |cx| {
                 stage::evaluate::run(cx, &subject, &nets, &avatar, &fabrics, &scans)
             })?;
             tables.insert_str(0, &measured.table());
@@ -292,9 +358,10 @@ impl Run {
         if !self.plan.has("export") {
             return Ok(tables);
         }
-        let (exported, export_hash) = self.stage("export", &part(&["finetune"]), &film_hash, |cx| {
-            stage::export::run(cx, &subject, &avatar, film.as_ref())
-        })?;
+        let (exported, export_hash) =
+            self.stage("export", &part(&["finetune"]), &format!("{film_hash}{scan_hash}"), |cx| {
+                stage::export::run(cx, &subject, &avatar, film.as_ref(), &scans)
+            })?;
         if !self.plan.has("report") {
             return Ok(tables);
         }
@@ -307,11 +374,10 @@ impl Run {
             scores: scores.as_ref(),
             comparison: compared.as_ref(),
             film: film.as_ref(),
-            exported: &exported.files,
+            exported: &exported,
             timings: &timings,
         };
         // The list of exported files says nothing of what is in them, so that the report looks at the film, too.
-        let scan_hash = stage::scans::hash_scans(&self.files, &scans)?;
         let upstream = format!("{subject_hash}{hash}{scores_hash}{compared_hash}{film_hash}{export_hash}{scan_hash}");
         self.stage("report", &part(&["run", "upper", "lower"]), &upstream, |cx| stage::report::run(cx, &inputs))?;
         Ok(tables)
@@ -319,6 +385,10 @@ impl Run {
 
     fn preprocess(&mut self, key: &[serde_json::Value], scans: &Scans) -> std::result::Result<(Subject, String), Halt> {
         let hash = stage::scans::hash_scans(&self.files, scans)?;
+        for scan in &scans.list {
+            let content = artifact::hash(stage::scans::hash_scan(&self.files, scan)?.as_bytes());
+            self.manifest.inputs.insert(format!("scan {}", scan.name), content);
+        }
         self.stage("preprocess", key, &hash, |cx| stage::preprocess::run(cx, scans))
     }
 
@@ -360,24 +430,26 @@ impl Run {
         run: impl FnOnce(&Context<'_>) -> Result<T>,
     ) -> std::result::Result<(T, String), Halt> {
         let inputs = input_hashes(&self.files, key)?;
-        let library = |l: &PluginConfig| Ok(artifact::hash(&self.files.read(&l.path)?));
-        let libraries = self.config.plugin.iter().map(library).collect::<Result<Vec<String>>>()?;
+        let library = |l: &PluginConfig| Ok((l.path.display().to_string(), artifact::hash(&self.files.read(&l.path)?)));
+        let libraries = self.config.plugin.iter().map(library).collect::<Result<Vec<_>>>()?;
         let material = serde_json::to_vec(&(
             name,
             env!("CARGO_PKG_VERSION"),
             self.config.run.seed,
             key,
-            inputs,
-            libraries,
+            inputs.iter().map(|input| &input.1).collect::<Vec<_>>(),
+            libraries.iter().map(|library| &library.1).collect::<Vec<_>>(),
             upstream,
         ))
         .map_err(|e| Error::config(name, e.to_string(), "report this as a defect"))?;
         let key = artifact::hash(&material);
         let path = self.folder.join(format!("{name}.caphy"));
-        if let Some((value, content)) = artifact::load::<T>(&path, name, &key)?
+        self.manifest.inputs.extend(inputs.into_iter().chain(libraries));
+        if !self.plan.is_again(name)
+            && let Some((value, content)) = artifact::load::<T>(&path, name, &key)?
             && value.files().iter().all(|f| self.folder.join(f).exists())
         {
-            self.plan.done(name);
+            self.finished(name, key, &content);
             return Ok((value, content));
         }
         if self.dry {
@@ -393,13 +465,20 @@ impl Run {
         artifact::write_atomically(&self.folder.join("timings.json"), &timings)?;
         self.drop_checkpoints();
         self.ran.push(name);
-        self.plan.done(name);
+        self.finished(name, key, &content);
+        self.manifest.write(&self.folder)?;
         Ok((value, content))
+    }
+
+    /// Notes that a stage's artifact is up to date.
+    fn finished(&mut self, name: &str, key: String, content: &str) {
+        self.plan.done(name);
+        self.manifest.stages.insert(name.into(), StageRecord { key, content: content.into() });
     }
 }
 
-/// Hashes of the files that a part of the configuration names: a stage runs again when a body or a clip has changed.
-pub(crate) fn input_hashes(files: &ProjectFiles, key: &[serde_json::Value]) -> Result<Vec<String>> {
+/// Paths and hashes of the files that a part of the configuration names: a stage runs again when a body or a clip has changed.
+pub(crate) fn input_hashes(files: &ProjectFiles, key: &[serde_json::Value]) -> Result<Vec<(String, String)>> {
     /// Keys of the configuration whose values are paths of input files.
     const PATHS: [&str; 5] = ["path", "skeleton", "mapping", "ground_truth", "starts"];
     fn named(value: &serde_json::Value, out: &mut Vec<PathBuf>) {
@@ -425,10 +504,11 @@ pub(crate) fn input_hashes(files: &ProjectFiles, key: &[serde_json::Value]) -> R
             // Whatever lies there: a new file counts as a change, too.
             for file in files.all(&path)? {
                 let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-                hashes.push(name + &artifact::hash(&files.read(&file)?));
+                let content = artifact::hash(&files.read(&file)?);
+                hashes.push((path.join(&name).display().to_string(), name + &content));
             }
         } else {
-            hashes.push(artifact::hash(&files.read(&path)?));
+            hashes.push((path.display().to_string(), artifact::hash(&files.read(&path)?)));
         }
     }
     Ok(hashes)

@@ -11,6 +11,7 @@ use std::time::Instant;
 
 pub(crate) const EXAMPLES: &str = "Examples:
   caphy animate runs/quickstart/export/avatar.caphy --motion 35_01.amc --out walk
+  caphy animate runs/quickstart/export/avatar.caphy --motion tracked.npz --gravity 0,0.9,0.4 --smoothing 0.05 --out video
   caphy animate --garment upper --garment lower --motion walk --out walk
   caphy animate --body SMPLX_NEUTRAL.npz --garment shirt.obj --motion 35_01.amc --format usd --out walk
 
@@ -74,6 +75,11 @@ fn avatar(arguments: &Arguments, path: &Path, plugins: &Plugins) -> Result<usize
             garment.deepest_mm
         );
     }
-    arguments.files.write(&Played { scene: &scene, garments: &avatar.garments, film: &film })?;
+    arguments.files.write(&Played {
+        scene: &scene,
+        garments: &avatar.garments,
+        film: &film,
+        colours: &avatar.colours,
+    })?;
     Ok(film.clip.poses.len())
 }

@@ -2,7 +2,7 @@
 
 use super::show::Shape;
 use caphy::artifact::write_atomically;
-use caphy::config::Translation;
+use caphy::config::{ClipConfig, TRACKED_SMOOTHING, Translation};
 use caphy::dressed::Dressed;
 use caphy::inputs::{self, GarmentArgument, MotionArgument};
 use caphy::motion::load;
@@ -11,6 +11,7 @@ use caphy::plugins::Plugins;
 use caphy_core::body::BodyModel;
 use caphy_core::motion::MotionClip;
 use caphy_core::{Error, Result, Vec3};
+use caphy_formats::motion::UpAxis;
 use caphy_garment::skinning::WeightOptions;
 use caphy_garment::template::{BodyRest, Tailor};
 use std::path::PathBuf;
@@ -49,6 +50,18 @@ pub(crate) struct Motion {
     /// What the translation of an .npz means.
     #[arg(long, value_enum, default_value_t)]
     translation: Translation,
+    /// The .npz is a video tracker's, and this axis of its world points up: y, -y (most cameras), z, ...
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true, conflicts_with = "gravity")]
+    up: Option<String>,
+    /// The .npz is a video tracker's, and things fall along this direction of its world: `0,0.9,0.4` for a camera that looks down a little.
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
+    gravity: Vec<f64>,
+    /// Standard deviation of the Gaussian that smooths a tracker's poses [s]; 0 for none. [default: 0.03]
+    #[arg(long, value_name = "S")]
+    smoothing: Option<f64>,
+    /// Frame rate of a tracker's video [1/s]; by default the file's own.
+    #[arg(long, value_name = "FPS")]
+    video_fps: Option<f64>,
 }
 
 /// What is written.
@@ -97,10 +110,44 @@ impl Motion {
         if !(self.seconds.is_finite() && self.seconds > 0.0) {
             return Err(Error::config("--seconds", self.seconds.to_string(), "give a positive number"));
         }
-        let named = MotionArgument::parse(&self.motion, self.seconds, self.translation)?;
+        let mut named = MotionArgument::parse(&self.motion, self.seconds, self.translation)?;
+        named.clip = self.tracked(named.clip)?;
         let mut clip = load(&named.files, &named.clip, None, fps, pelvis)?.clip;
         clip.poses.truncate((self.seconds * clip.fps).floor() as usize + 1);
         Ok(clip)
+    }
+    /// The clip as a tracker's, where options say so.
+    fn tracked(&self, clip: ClipConfig) -> Result<ClipConfig> {
+        let remedy = "leave it out, or give a tracker's .npz with `--up` or `--gravity`";
+        if self.up.is_none() && self.gravity.is_empty() {
+            let alone = [("--smoothing", self.smoothing.is_some()), ("--video-fps", self.video_fps.is_some())];
+            return match alone.iter().find(|(_, given)| *given) {
+                Some((option, _)) => Err(Error::config(*option, "says nothing of a file that is no tracker's", remedy)),
+                None => Ok(clip),
+            };
+        }
+        let option = if self.up.is_some() { "--up" } else { "--gravity" };
+        let ClipConfig::Amass { path, translation } = clip else {
+            return Err(Error::config(option, format!("`{}` is no .npz", self.motion), remedy));
+        };
+        let up = self.up.as_ref().map(|name| {
+            let names = UpAxis::ALL.map(UpAxis::name);
+            let found = UpAxis::ALL.into_iter().find(|axis| axis.name() == name);
+            found.ok_or_else(|| Error::config("--up", format!("`{name}`"), format!("give one of {}", names.join(", "))))
+        });
+        let gravity = match &self.gravity[..] {
+            [] => None,
+            &[x, y, z] if [x, y, z].iter().all(|v| v.is_finite()) && [x, y, z] != [0.0; 3] => Some([x, y, z]),
+            other => return Err(Error::config("--gravity", format!("{other:?}"), "give a direction: x,y,z")),
+        };
+        let smoothing_s = self.smoothing.unwrap_or(TRACKED_SMOOTHING);
+        if !(smoothing_s.is_finite() && smoothing_s >= 0.0) {
+            return Err(Error::config("--smoothing", smoothing_s.to_string(), "give 0 or a positive number"));
+        }
+        if let Some(fps) = self.video_fps.filter(|fps| !(fps.is_finite() && *fps > 0.0)) {
+            return Err(Error::config("--video-fps", fps.to_string(), "give a positive number"));
+        }
+        Ok(ClipConfig::Tracked { path, up: up.transpose()?, gravity, translation, fps: self.video_fps, smoothing_s })
     }
 }
 

@@ -1,5 +1,6 @@
 //! The subcommands: arguments in, text out. What they do stands in the library.
 
+pub(crate) mod ablation;
 pub(crate) mod animate;
 pub(crate) mod check;
 pub(crate) mod estimate;

@@ -99,7 +99,17 @@ impl Config {
             match clip {
                 ClipConfig::Procedural { seconds, .. } => positive(&format!("{key}.seconds"), *seconds)?,
                 ClipConfig::Amass { .. } => {}
-                ClipConfig::Tracked { fps, smoothing_s, .. } => {
+                ClipConfig::Tracked { up, gravity, fps, smoothing_s, .. } => {
+                    let down = gravity.is_none_or(|g| g.iter().all(|x| x.is_finite()) && g.iter().any(|x| *x != 0.0));
+                    if up.is_some() == gravity.is_some() || !down {
+                        let problem = match (up, gravity) {
+                            (Some(_), Some(_)) => "is given beside `up`".into(),
+                            (None, None) => "is missing, and `up`, too".into(),
+                            _ => format!("{gravity:?} is no direction"),
+                        };
+                        let remedy = "give the axis that points up (`up`) or the direction of falling (`gravity`)";
+                        return Err(Error::config(format!("{key}.gravity"), problem, remedy));
+                    }
                     fps.map_or(Ok(()), |fps| positive(&format!("{key}.fps"), fps))?;
                     not_negative(&format!("{key}.smoothing_s"), *smoothing_s)?;
                 }

@@ -6,11 +6,13 @@
 mod check;
 mod optimise;
 pub(crate) mod place;
+mod set;
 mod silent;
 mod synthetic;
 mod weights;
 
 pub use optimise::{EstimatorConfig, Inner, OptimiseConfig, WornAlternation, WornEquilibrium};
+pub use set::Setting;
 pub use synthetic::{RestScale, RigConfig, SyntheticConfig, Texture};
 pub use weights::{Ramp, Schedule, TermWeights};
 
@@ -289,8 +291,13 @@ pub enum ClipConfig {
     Tracked {
         /// The file.
         path: PathBuf,
-        /// Upward axis of its world: `"y"`, `"-y"` (most cameras), `"z"`, … No default: the file does not say.
-        up: UpAxis,
+        /// Upward axis of its world: `"y"`, `"-y"` (most cameras), `"z"`, … No default: the file does not say. This or `gravity`.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        up: Option<UpAxis>,
+        /// Direction in which things fall in its world, of any length: a camera that looks down by an angle a has
+        /// `[0, cos a, sin a]`, with x right, y down, z away. In place of `up`.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        gravity: Option<[f64; 3]>,
         /// What its translation means, as for `amass`.
         #[serde(default)]
         translation: Translation,
@@ -343,8 +350,11 @@ pub enum ClipConfig {
     },
 }
 
+/// Default of a tracked clip's `smoothing_s` [s].
+pub const TRACKED_SMOOTHING: f64 = 0.03;
+
 fn tracked_smoothing() -> f64 {
-    0.03
+    TRACKED_SMOOTHING
 }
 
 /// The rate of the CMU database's clips, which its files do not say [1/s].
@@ -490,11 +500,14 @@ pub struct EvaluateConfig {
     /// An `.npz` with true joints, arrays `<scan name>__joints55` of shape (55, 3) [m] in SMPL-X order, NaN where unknown. Only
     /// evaluation reads it.
     pub ground_truth: Option<PathBuf>,
+    /// Of a synthetic subject: also bring its templates, made of the true fabrics, to rest in the held-out scans' poses by the
+    /// reference solver, as a floor for nets. Default false: it costs as much as simulating these poses.
+    pub solver_floor: bool,
 }
 
 impl Default for EvaluateConfig {
     fn default() -> Self {
-        Self { penetration_m: 1e-3, ground_truth: None }
+        Self { penetration_m: 1e-3, ground_truth: None, solver_floor: false }
     }
 }
 
@@ -566,22 +579,40 @@ impl Config {
     /// [`Error::Format`] with line and column of what TOML or a type does not know, [`Error::Config`] for values that cannot
     /// be used or have no effect, [`Error::Plugin`] for libraries.
     pub fn parse_with(path: &Path, text: &str, plugins: &mut Plugins) -> Result<Config> {
-        let table = parse_table(path, text)?;
+        Self::parse_set(path, text, &[], plugins)
+    }
+
+    /// As [`Config::parse_with`], with settings that take the place of the file's own.
+    ///
+    /// # Errors
+    /// As [`Config::parse_with`]; what is wrong because of a setting names it.
+    pub fn parse_set(path: &Path, text: &str, settings: &[Setting], plugins: &mut Plugins) -> Result<Config> {
+        let written = parse_table(path, text)?;
+        let table = set::applied(&written, settings)?;
         let files = ProjectFiles::new(path.parent().unwrap_or(Path::new(".")));
         // Before anything else is read: the types below may be theirs.
         for library in libraries(&table) {
             plugins.load(&files.resolve(&library)?)?;
         }
         plugins.settle(path);
+        Self::from_table(path, text, &table, plugins).map_err(|error| {
+            set::blame(error, settings, |others| {
+                Self::from_table(path, text, &set::applied(&written, others)?, plugins).map(drop)
+            })
+        })
+    }
+
+    /// A table, which stands in `text`, as a configuration.
+    fn from_table(path: &Path, text: &str, table: &toml::Table, plugins: &Plugins) -> Result<Config> {
         let read = |table: &toml::Table| -> std::result::Result<Config, String> {
             table.clone().try_into().map_err(|e: toml::de::Error| e.message().trim().to_string())
         };
-        let mut config = read(&table)
-            .map_err(|message| place::error(path, text, "", &table, &message, &|table| read(table).err()))?;
+        let mut config =
+            read(table).map_err(|message| place::error(path, text, "", table, &message, &|table| read(table).err()))?;
         for (kind, key, chosen) in config.tables_mut() {
             chosen.resolve_in(plugins, kind, path, text, key)?;
         }
-        silent::check(&table, &config)?;
+        silent::check(table, &config)?;
         config.check()?;
         // Those of the command line, too: the run depends on them.
         config.plugin = plugins.paths().map(|path| PluginConfig { path: path.into() }).collect();
@@ -595,8 +626,13 @@ impl Config {
 
     /// As [`Config::read`], with more libraries loaded before.
     pub fn read_with(path: &Path, plugins: &mut Plugins) -> Result<Config> {
+        Self::read_set(path, &[], plugins)
+    }
+
+    /// As [`Config::read_with`], with settings that take the place of the file's own.
+    pub fn read_set(path: &Path, settings: &[Setting], plugins: &mut Plugins) -> Result<Config> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
-        Self::parse_with(path, &text, plugins)
+        Self::parse_set(path, &text, settings, plugins)
     }
 
     /// The garments that are modelled, upper first, with the names of their tables.

@@ -1,7 +1,8 @@
 //! Settings that another setting switches off: a value that somebody chose and that changes nothing is refused.
 
 use super::{
-    Config, FinetuneConfig, GarmentConfig, OptimiseConfig, RigConfig, SubjectConfig, TrainConfig, ViewsConfig, thirty,
+    Config, EvaluateConfig, FinetuneConfig, GarmentConfig, OptimiseConfig, RigConfig, SubjectConfig, TrainConfig,
+    ViewsConfig, thirty,
 };
 use caphy_bodymodel::registration::RegistrationSettings;
 use caphy_core::{Error, Result};
@@ -90,6 +91,11 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
             because: "subject.type = \"synthetic\", whose truth is known",
             silent: &["evaluate.ground_truth"],
         },
+        Rule {
+            holds: !matches!(config.subject, SubjectConfig::Synthetic(_)),
+            because: "only a synthetic subject's fabric is known",
+            silent: &["evaluate.solver_floor"],
+        },
     ];
     for rule in rules.iter().filter(|rule| rule.holds) {
         for key in rule.silent {
@@ -131,6 +137,7 @@ fn default_of(path: &str) -> Option<toml::Value> {
         "train" => table(TrainConfig::default()),
         "optimise" => table(OptimiseConfig::default()),
         "finetune" => table(FinetuneConfig::default()),
+        "evaluate" => table(EvaluateConfig::default()),
         "views" => table(ViewsConfig::default()),
         "subject" => Some(toml::Table::from_iter([("rig".to_string(), table(RigConfig::default())?.into())])),
         "registration" => table(RegistrationSettings::default()),

@@ -2,9 +2,9 @@
 
 use super::found::{Estimated, FabricFound};
 use crate::artifact::write_atomically;
+use crate::page::{self, data_url, table};
 use crate::pictures::{BACK, FRONT};
-use crate::plot::{self, Axes, Curve, escape, lines, number};
-use crate::stage::report::{data_url, table};
+use crate::plot::{Axes, Curve, escape, lines, number};
 use caphy_core::material::{MaterialModel, MembraneBlock, MembraneCall};
 use caphy_core::query::NearestSurface;
 use caphy_core::{Result, TriMesh, Vec3, mesh};
@@ -23,27 +23,17 @@ const LAST_COLOUR: f64 = 5.0;
 /// How far the scan is drawn behind where it is [m].
 const BEHIND_M: f64 = 0.01;
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}\
-h1,h2{font-weight:600}h2{margin-top:2em;border-bottom:1px solid #ddd}img{max-width:48%}\
-table{border-collapse:collapse;margin:.6em 0}td,th{padding:.2em .7em;border-bottom:1px solid #e4e4e4;text-align:right}\
-td:first-child,th:first-child{text-align:left}.plot{width:48%;min-width:420px}\
-.warn{background:#fff6e0;border-left:4px solid #d99a1c;padding:.5em 1em}";
-
 /// Writes a page with its pictures.
 ///
 /// `drapes`: drape coefficients by pose.
 pub(crate) fn write(
-    page: &Path,
+    file: &Path,
     problem: &Problem,
     found: &FabricFound,
     drapes: &[(String, f64)],
     fabrics: &[(String, Vec<f64>)],
 ) -> Result<()> {
-    let mut html = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Fabric estimate</title><style>{STYLE}{}</style>\
-         <h1>Fabric estimate</h1>",
-        plot::STYLE
-    );
+    let mut html = page::head("Fabric estimate");
     let _ = write!(
         html,
         "<p>{}, {} vertices, {} g{}.</p>",
@@ -65,7 +55,7 @@ pub(crate) fn write(
     fits(&mut html, &found.estimate);
     poses(&mut html, problem, found)?;
     html.push_str("</html>");
-    write_atomically(page, html.as_bytes())
+    write_atomically(file, html.as_bytes())
 }
 
 /// Factors with their intervals, what was fitted along, what the poses determine, the nearest of the ten.

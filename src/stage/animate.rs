@@ -144,7 +144,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Fi
     };
     let say = |s: f64| context.progress.set(0.7 * s, "frames");
     let mut film = perform(&scene, &subject.garments, &avatar.garments, &context.config.net, clip, &push, &say)?;
-    let figure = Played { scene: &scene, garments: &subject.garments, film: &film };
+    let figure = Played { scene: &scene, garments: &subject.garments, film: &film, colours: &[] };
     let last = film.clip.poses.len() - 1;
     let spread = |count: usize| (0..count).map(move |i| i * last / (count - 1).max(1));
     let sheet: Vec<_> = spread(SHEET)
@@ -177,6 +177,8 @@ pub struct Played<'a> {
     pub garments: &'a [FittedGarment],
     /// Their frames.
     pub film: &'a Film,
+    /// Vertex colours (sRGB) of body and garments; none for clay.
+    pub colours: &'a [Vec<[u8; 3]>],
 }
 
 impl MovingFigure for Played<'_> {
@@ -200,5 +202,8 @@ impl MovingFigure for Played<'_> {
     }
     fn garment_frame(&self, garment: usize, frame: usize) -> Result<Vec<Vec3>> {
         Ok(self.film.garments[garment].vertices(frame))
+    }
+    fn colours(&self, part: usize) -> Option<&[[u8; 3]]> {
+        self.colours.get(part).map(Vec::as_slice)
     }
 }

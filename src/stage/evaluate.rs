@@ -5,23 +5,33 @@ use super::preprocess::{Subject, SubjectScan};
 use super::scans::read_framed;
 use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
+use crate::config::{SubjectConfig, TrainConfig};
 use crate::inference::{Play, clearance, contacts, play};
-use crate::physics::Physics;
-use crate::pictures;
-use crate::scene::{Scene, label_of, scan_frames};
+use crate::measure::{Fit, ScanGarment, pose_distance, scan_spectrum, shown};
+use crate::physics::{Physics, solver_forces};
+use crate::pictures::{self, Dressed};
+use crate::plot::number;
+use crate::quality::{Spectrum, SpectrumFilter};
+use crate::scene::{Scene, scan_frames};
+use crate::simulate::{SimulationOptions, Steps, Under, simulate};
+use crate::synth::Truth;
+use crate::track::BodyTrack;
 use caphy_core::files::Files;
 use caphy_core::lanes::Frames;
-use caphy_core::pose::SMPLX_JOINTS;
-use caphy_core::query::{NearestGrid, NearestSurface};
+use caphy_core::pose::{Pose, SMPLX_JOINTS};
+use caphy_core::query::NearestGrid;
 use caphy_core::{Error, Result, TriMesh, Vec3, mesh};
 use caphy_formats::npz::Npz;
 use caphy_garment::estimate::reduction;
-use caphy_garment::template::{GarmentKind, pose_by_weights};
+use caphy_garment::solver::SolverSettings;
+use caphy_garment::template::GarmentKind;
 use caphy_render::Layer;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// All measurements.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -63,17 +73,16 @@ pub struct ScanScore {
 pub struct GarmentScore {
     /// Upper or lower.
     pub kind: GarmentKind,
-    /// Mean distance from scan points to the garment's surface [mm], not squared.
-    pub scan_to_garment_mm: f64,
-    /// Mean distance from visible garment vertices to the nearest scan point [mm], not squared.
-    pub garment_to_scan_mm: f64,
-    /// Eq. 9: sum of both means of *squared* distances between points and vertices [mm²]; the template's edge length sets its
-    /// floor.
-    pub chamfer_mm2: f64,
-    /// [`GarmentScore::scan_to_garment_mm`] of the skinned template, without the net.
-    pub skinned_scan_to_garment_mm: f64,
-    /// [`GarmentScore::garment_to_scan_mm`] of the skinned template [mm].
-    pub skinned_garment_to_scan_mm: f64,
+    /// The avatar.
+    pub net: Fit,
+    /// The skinned template, without the net.
+    pub skinned: Fit,
+    /// The true garment, where there is one: what noise and holes of the scan leave of a perfect answer.
+    pub truth: Option<Fit>,
+    /// The reference solver with the true fabric, where it was asked for: what body and template leave of it.
+    pub solver: Option<Fit>,
+    /// Energy of the scan's own normals by wavelength, seen at the avatar's vertices.
+    pub scan_spectrum: Spectrum,
     /// Share of vertices deeper inside the body than the configured limit.
     pub penetrating: f64,
     /// Deepest vertex [mm], 0 when none is inside.
@@ -82,6 +91,10 @@ pub struct GarmentScore {
     pub elastic_j: f64,
     /// The same of the skinned template [J].
     pub skinned_elastic_j: f64,
+    /// From the nearest other pose that a scan was learnt from: root mean square angle of the joints that the net is told of [°].
+    pub nearest_scan_deg: Option<f64>,
+    /// From the nearest pose of the training motion [°].
+    pub nearest_motion_deg: Option<f64>,
 }
 
 /// Fabric before and after estimation against the truth.
@@ -93,7 +106,97 @@ pub struct FabricScore {
     pub groups: Vec<(String, f64, f64)>,
 }
 
+impl GarmentScore {
+    /// What is compared between runs, by name and unit.
+    pub fn named(&self) -> Vec<(&'static str, f64)> {
+        let mut all = self.net.named();
+        all.extend([
+            ("inside body, %", 100.0 * self.penetrating),
+            ("deepest, mm", self.deepest_mm),
+            ("strain + bending, J", self.elastic_j),
+        ]);
+        all
+    }
+}
+
 impl Scores {
+    /// Means over the held-out scans (over all, where none was) of everything that is measured, as text: the avatar beside the skinned
+    /// template and the floors.
+    pub fn seen(&self) -> String {
+        let any = self.scans.iter().any(|s| s.held_out);
+        let mut out = String::new();
+        for kind in [GarmentKind::Upper, GarmentKind::Lower] {
+            let rows: Vec<&GarmentScore> = self
+                .scans
+                .iter()
+                .filter(|s| s.held_out == any)
+                .filter_map(|s| s.garments.iter().find(|g| g.kind == kind))
+                .collect();
+            if rows.is_empty() {
+                continue;
+            }
+            let scans = if any { "held-out scans" } else { "scans" };
+            let title = format!("{kind}, mean of {} {scans}", rows.len());
+            let _ = writeln!(out, "{title:<50} {:>9} {:>9} {:>9} {:>9}", "avatar", "skinned", "solver*", "truth*");
+            // One column of means; none where a row has none.
+            let column = |fit: fn(&GarmentScore) -> Option<&Fit>| -> Option<Vec<f64>> {
+                let all: Vec<_> = rows.iter().map(|g| Some(fit(g)?.named())).collect::<Option<_>>()?;
+                let mean = |i: usize| all.iter().map(|values| values[i].1).sum::<f64>() / all.len() as f64;
+                Some((0..all[0].len()).map(mean).collect())
+            };
+            let columns = [
+                column(|g| Some(&g.net)),
+                column(|g| Some(&g.skinned)),
+                column(|g| g.solver.as_ref()),
+                column(|g| g.truth.as_ref()),
+            ];
+            for (i, (name, _)) in rows[0].net.named().iter().enumerate() {
+                let cells = columns.iter().map(|c| c.as_ref().map_or("–".into(), |c| number(c[i])));
+                let cells: Vec<String> = cells.map(|c| format!("{c:>9}")).collect();
+                let _ = writeln!(out, "  {name:<48} {}", cells.join(" "));
+            }
+            let n = rows.len() as f64;
+            let mut bands = [0.0; 3];
+            for g in &rows {
+                (0..3).for_each(|k| bands[k] += g.scan_spectrum.0[k] / n);
+            }
+            let _ = writeln!(out, "  the scan's own normals, fine to coarse: {}", bands.map(number).join(", "));
+            for (what, angle) in [
+                ("scan that was learnt from", (|g| g.nearest_scan_deg) as fn(&GarmentScore) -> Option<f64>),
+                ("pose of the training motion", |g| g.nearest_motion_deg),
+            ] {
+                let angles: Option<Vec<f64>> = rows.iter().map(|g| angle(g)).collect();
+                if let Some(angles) = angles {
+                    let _ =
+                        writeln!(out, "  joints from the nearest {what}: {} °", number(angles.iter().sum::<f64>() / n));
+                }
+            }
+        }
+        out.push_str(
+            "Normal maps and MS-SSIM stand in for VGG-16's perceptual distance.\n\
+             *floors: the reference solver with the true fabric (evaluate.solver_floor), and the true garment.\n",
+        );
+        out
+    }
+
+    /// Means over the held-out scans and over the others, per garment, by name and unit.
+    pub fn means(&self) -> Vec<(String, f64)> {
+        let mut out = Vec::new();
+        for held_out in [true, false] {
+            for kind in [GarmentKind::Upper, GarmentKind::Lower] {
+                let of_kind = |s: &ScanScore| s.garments.iter().find(|g| g.kind == kind).map(GarmentScore::named);
+                let rows: Vec<_> = self.scans.iter().filter(|s| s.held_out == held_out).filter_map(of_kind).collect();
+                let Some(first) = rows.first() else { continue };
+                for (i, (name, _)) in first.iter().enumerate() {
+                    let mean = rows.iter().map(|r| r[i].1).sum::<f64>() / rows.len() as f64;
+                    let scans = if held_out { "held out" } else { "learnt from" };
+                    out.push((format!("{kind}, {scans}: {name}"), mean));
+                }
+            }
+        }
+        out
+    }
+
     /// The table as text.
     pub fn table(&self) -> String {
         let mut out = String::from(
@@ -108,16 +211,17 @@ impl Scores {
                     out,
                     "{name:<21} {:<8} {:<6.2} {:<9} {:<6.2} {:<9} {:>6.2} %     {:.4} J ({:.4})",
                     g.kind.to_string(),
-                    g.scan_to_garment_mm,
-                    format!("({:.2})", g.skinned_scan_to_garment_mm),
-                    g.garment_to_scan_mm,
-                    format!("({:.2})", g.skinned_garment_to_scan_mm),
+                    g.net.scan_to_garment_mm,
+                    format!("({:.2})", g.skinned.scan_to_garment_mm),
+                    g.net.garment_to_scan_mm,
+                    format!("({:.2})", g.skinned.garment_to_scan_mm),
                     100.0 * g.penetrating,
                     g.elastic_j,
                     g.skinned_elastic_j
                 );
             }
         }
+        out.push_str(&self.seen());
         for scan in &self.scans {
             if let Some([median, most]) = scan.joint_error_mm {
                 let _ =
@@ -158,6 +262,7 @@ pub fn run(
     let poses: Vec<_> = subject.scans.iter().map(|s| s.pose.clone()).collect();
     let track = scene.track(&poses)?;
     let training = scene.scan_track(subject)?;
+    let motion = scene.motion(context)?.track;
     let truth = true_joints(context, subject, scans)?;
     let mut rows: Vec<ScanScore> = subject
         .scans
@@ -174,10 +279,58 @@ pub fn run(
             })
         })
         .collect::<Result<_>>()?;
-    let mut worn = Vec::new();
+    let (mut worn, mut skinned) = (Vec::new(), Vec::new());
     for (fitted, trained) in subject.garments.iter().zip(&avatar.garments) {
-        let shapes = play(fitted, trained, &context.config.net, &track, Play::Poses)?;
-        let visible = scan_frames(context, subject, fitted, training.clone())?.visible;
+        worn.push(play(fitted, trained, &context.config.net, &track, Play::Poses)?);
+        skinned.push(track.transforms.iter().map(|t| fitted.skinned(t)).collect::<Result<Vec<_>>>()?);
+    }
+    let solved = solver_floor(context, subject, &scene, &poses)?;
+    let visible = subject
+        .garments
+        .iter()
+        .map(|fitted| Ok(scan_frames(context, subject, fitted, training.clone())?.visible))
+        .collect::<Result<Vec<_>>>()?;
+    let filters: Vec<SpectrumFilter> = subject.garments.iter().map(|g| SpectrumFilter::new(&g.mesh)).collect();
+    let finished = AtomicUsize::new(0);
+    // One error for one input, whatever the number of threads.
+    let compared: Vec<Result<Vec<GarmentScore>>> = subject
+        .scans
+        .par_iter()
+        .enumerate()
+        .map(|(i, scan)| {
+            let Some(file) = scans.list.iter().find(|file| file.name == scan.name) else { return Ok(Vec::new()) };
+            let surface = read_framed(context.files, file, &scan.frame)?.mesh;
+            let body = posed_body(&scene, &scan.pose)?;
+            let dressed = |shapes: &[Vec<Vec<Vec3>>]| Dressed {
+                body: &body,
+                garments: shapes.iter().zip(&subject.garments).map(|(s, g)| of_mesh(&s[i], &g.mesh)).collect(),
+            };
+            let (avatar_figure, skinned_figure) = (dressed(&worn), dressed(&skinned));
+            let solver_figure = solved.as_ref().filter(|s| !s[0][i].is_empty()).map(|shapes| dressed(shapes));
+            let mut scores = Vec::new();
+            for (k, fitted) in subject.garments.iter().enumerate() {
+                let compared = ScanGarment::new(&scan.name, fitted.kind, &surface, &scan.points)?;
+                let fit = |figure: &Dressed<'_>| compared.compare(figure, k, &visible[k], &filters[k]);
+                let truth = scans.truth.as_ref().map(|t| true_fit(&scene, t, i, scan, &compared));
+                let garment = &avatar_figure.garments[k];
+                scores.push(GarmentScore {
+                    net: fit(&avatar_figure)?,
+                    skinned: fit(&skinned_figure)?,
+                    truth: truth.transpose()?.flatten(),
+                    solver: solver_figure.as_ref().map(fit).transpose()?,
+                    scan_spectrum: scan_spectrum(&scan.points, garment, fitted.kind, &visible[k], &filters[k]),
+                    ..GarmentScore::unmeasured(fitted.kind)
+                });
+            }
+            let count = finished.fetch_add(1, Ordering::Relaxed) + 1;
+            context.progress.set(0.9 * count as f64 / subject.scans.len() as f64, &scan.name);
+            Ok(scores)
+        })
+        .collect();
+    for (row, scores) in rows.iter_mut().zip(compared) {
+        row.garments = scores?;
+    }
+    for (k, (fitted, trained)) in subject.garments.iter().zip(&avatar.garments).enumerate() {
         let table = &context.config.garment(fitted.kind)?.material;
         let model = Arc::from(material(table, config_key(fitted.kind), trained.material.as_deref())?);
         let rest = fitted.rest(&*model)?;
@@ -185,31 +338,132 @@ pub fn run(
         let map = scene.contact(fitted)?;
         let physics = Physics::<f64>::new(&rest, model, &train.contact, trained.fps, &train.weights)?;
         for (i, scan) in subject.scans.iter().enumerate() {
-            context.progress.set(i as f64 / subject.scans.len() as f64, &scan.name);
-            let skinned = pose_by_weights(&fitted.mesh.vertices, &fitted.weights, &track.transforms[i])?;
-            let inside = clearance(&shapes[i], &contacts(&map, &track, i, &shapes[i])?);
+            let Some(score) = rows[i].garments.get_mut(k) else { continue };
+            let shape = &worn[k][i];
+            let inside = clearance(shape, &contacts(&map, &track, i, shape)?);
             let limit = context.config.evaluate.penetration_m;
             let deep = inside.iter().filter(|&&d| d < -limit).count();
-            let measured = distances(scan, fitted, &shapes[i], &visible)?;
-            let without_net = distances(scan, fitted, &skinned, &visible)?;
-            rows[i].garments.push(GarmentScore {
-                kind: fitted.kind,
-                scan_to_garment_mm: measured.scan_to_garment * 1e3,
-                garment_to_scan_mm: measured.garment_to_scan * 1e3,
-                chamfer_mm2: measured.chamfer * 1e6,
-                skinned_scan_to_garment_mm: without_net.scan_to_garment * 1e3,
-                skinned_garment_to_scan_mm: without_net.garment_to_scan * 1e3,
-                penetrating: deep as f64 / inside.len().max(1) as f64,
-                deepest_mm: 0.0 - 1e3 * inside.iter().copied().fold(0.0, f64::min),
-                elastic_j: elastic(&physics, &shapes[i])?,
-                skinned_elastic_j: elastic(&physics, &skinned)?,
-            });
+            score.penetrating = deep as f64 / inside.len().max(1) as f64;
+            score.deepest_mm = 0.0 - 1e3 * inside.iter().copied().fold(0.0, f64::min);
+            score.elastic_j = elastic(&physics, shape)?;
+            score.skinned_elastic_j = elastic(&physics, &skinned[k][i])?;
+            let joints = trained.features.joints();
+            let nearest = |poses: &mut dyn Iterator<Item = &Pose>| -> Option<f64> {
+                poses.map(|pose| pose_distance(&scan.pose, pose, joints).to_degrees()).min_by(f64::total_cmp)
+            };
+            score.nearest_scan_deg =
+                nearest(&mut subject.training_scans().filter(|s| s.name != scan.name).map(|s| &s.pose));
+            score.nearest_motion_deg = nearest(&mut motion.poses.iter());
         }
-        worn.push(shapes);
     }
     let pictures = draw(context, subject, &scene, scans, &worn)?;
-    let layering = layering(context, subject, &scene, nets, avatar)?;
+    let layering = layering(context, subject, &scene, &motion, nets, avatar)?;
     Ok(Scores { scans: rows, layering, fabrics: fabric_scores(context, fabrics, scans)?, pictures })
+}
+
+impl GarmentScore {
+    /// Nothing measured yet.
+    fn unmeasured(kind: GarmentKind) -> Self {
+        let fit = Fit::default();
+        Self {
+            kind,
+            net: fit.clone(),
+            skinned: fit,
+            truth: None,
+            solver: None,
+            scan_spectrum: Spectrum::default(),
+            penetrating: 0.0,
+            deepest_mm: 0.0,
+            elastic_j: 0.0,
+            skinned_elastic_j: 0.0,
+            nearest_scan_deg: None,
+            nearest_motion_deg: None,
+        }
+    }
+}
+
+/// A shape with the triangles of its template.
+fn of_mesh(vertices: &[Vec3], template: &TriMesh) -> TriMesh {
+    TriMesh { vertices: vertices.to_vec(), faces: template.faces.clone() }
+}
+
+fn posed_body(scene: &Scene, pose: &Pose) -> Result<TriMesh> {
+    let posed = scene.body.forward(&scene.subject.posed(pose))?;
+    Ok(TriMesh { vertices: posed.vertices, faces: scene.rest.faces.clone() })
+}
+
+/// The true garment against the scan of it.
+fn true_fit(
+    scene: &Scene,
+    truth: &Truth,
+    scan: usize,
+    points: &SubjectScan,
+    compared: &ScanGarment,
+) -> Result<Option<Fit>> {
+    let Some(own) = truth.garments.iter().position(|g| g.kind == compared.kind()) else { return Ok(None) };
+    let mut person = scene.body.rest(&truth.shape);
+    person.displacement.clone_from(&truth.displacement);
+    let posed = scene.body.forward(&person.posed(&truth.poses[scan]))?;
+    let body = TriMesh { vertices: posed.vertices, faces: scene.rest.faces.clone() };
+    let garments = truth.garments.iter().map(|g| of_mesh(&g.at_rest[scan], &g.template)).collect();
+    let figure = Dressed { body: &body, garments };
+    let visible = shown(&figure.garments[own].vertices, compared.kind(), &points.points);
+    let filter = SpectrumFilter::new(&truth.garments[own].template);
+    compared.compare(&figure, own, &visible, &filter).map(Some)
+}
+
+/// Garments of the subject's templates and true fabrics, brought to rest in held-out scans' poses, the upper one over the lower one:
+/// vertices [m] per garment and scan, none for scans that were learnt from; `None` unless it is asked for.
+fn solver_floor(
+    context: &Context<'_>,
+    subject: &Subject,
+    scene: &Scene,
+    poses: &[Pose],
+) -> Result<Option<Vec<Vec<Vec<Vec3>>>>> {
+    let SubjectConfig::Synthetic(synthetic) = &context.config.subject else { return Ok(None) };
+    let held: Vec<usize> = (0..poses.len()).filter(|&i| subject.scans[i].held_out).collect();
+    if !context.config.evaluate.solver_floor || held.is_empty() {
+        return Ok(None);
+    }
+    let track = scene.track(&held.iter().map(|&i| poses[i].clone()).collect::<Vec<_>>())?;
+    let options = SimulationOptions {
+        steps: Steps::QuasiStatic,
+        fps: context.config.motion.fps,
+        // With the weights of the energies as they are, whatever a net was trained with.
+        forces: solver_forces(&TrainConfig { contact: context.config.train.contact, ..TrainConfig::default() }),
+        settings: SolverSettings {
+            tolerance_n: synthetic.tolerance_n,
+            friction: synthetic.friction,
+            ..SolverSettings::default()
+        },
+    };
+    let mut done: Vec<Vec<Vec<Vec3>>> = Vec::new();
+    for (k, fitted) in subject.garments.iter().enumerate().rev() {
+        let (table, key) = match fitted.kind {
+            GarmentKind::Upper => (&synthetic.upper_material, "subject.upper_material"),
+            GarmentKind::Lower => (&synthetic.lower_material, "subject.lower_material"),
+        };
+        let under = done.last().map(|frames| Under { faces: &subject.garments[k + 1].mesh.faces, frames });
+        let contact = scene.contact(fitted)?;
+        let say = |share: f64, text: &str| context.progress.set(share, &format!("solver, {}: {text}", fitted.kind));
+        let simulation = simulate(fitted, Arc::from(table.material(key)?), &track, &contact, under, &options, &say)?;
+        if simulation.unconverged() > 0 {
+            context.progress.note(&format!(
+                "{}: the solver did not come to rest in {} of {} held-out poses, {:.1e} N left at most",
+                fitted.kind,
+                simulation.unconverged(),
+                held.len(),
+                simulation.worst_residual_n()
+            ));
+        }
+        done.push(simulation.frames);
+    }
+    let spread = |frames: Vec<Vec<Vec3>>| {
+        let mut all = vec![Vec::new(); poses.len()];
+        held.iter().zip(frames).for_each(|(&i, frame)| all[i] = frame);
+        all
+    };
+    Ok(Some(done.into_iter().rev().map(spread).collect()))
 }
 
 /// Scans that are shown beside the avatar.
@@ -235,59 +489,13 @@ fn draw(
         let layer = Layer::per_vertex(&surface, &colours);
         let name = format!("{}{}", scan.name, if scan.held_out { " held out" } else { "" });
         cells.push((name, pictures::draw(vec![layer], bounds, &pictures::FRONT)));
-        let posed = scene.body.forward(&scene.subject.posed(&scan.pose))?;
-        let body = TriMesh { vertices: posed.vertices, faces: scene.rest.faces.clone() };
-        let garments = subject
-            .garments
-            .iter()
-            .zip(worn)
-            .map(|(g, shapes)| TriMesh { vertices: shapes[i].clone(), faces: g.mesh.faces.clone() })
-            .collect();
-        let dressed = pictures::Dressed { body: &body, garments };
+        let body = posed_body(scene, &scan.pose)?;
+        let garments = subject.garments.iter().zip(worn).map(|(g, shapes)| of_mesh(&shapes[i], &g.mesh)).collect();
+        let dressed = Dressed { body: &body, garments };
         cells.push(("avatar".to_string(), pictures::dressed(&dressed, &pictures::FRONT)));
     }
     context.write("pictures/evaluation.png", &pictures::sheet(&cells, 2 * SHOWN)?)?;
     Ok(vec!["pictures/evaluation.png".into()])
-}
-
-/// Distances between a posed garment and a scan's points of it.
-struct Distances {
-    /// Mean distance of scan points to the garment's surface [m].
-    scan_to_garment: f64,
-    /// Mean distance of visible garment vertices to the scan's points [m].
-    garment_to_scan: f64,
-    /// Eq. 9 between scan points and garment vertices [m²].
-    chamfer: f64,
-}
-
-fn distances(
-    scan: &SubjectScan,
-    fitted: &crate::garment::FittedGarment,
-    garment: &[Vec3],
-    visible: &[bool],
-) -> Result<Distances> {
-    let kind = fitted.kind;
-    let (points, _) = scan.points.with_label(label_of(kind));
-    let seen: Vec<Vec3> = garment.iter().zip(visible).filter(|(_, v)| **v).map(|(p, _)| *p).collect();
-    if points.is_empty() || seen.is_empty() {
-        return Err(Error::numerics(
-            format!("scan {}", scan.name),
-            format!("{} points and {} visible vertices of the {kind} garment", points.len(), seen.len()),
-            "look at the labels in the report, or leave the scan out",
-        ));
-    }
-    let on_surface = NearestSurface::new(garment, &fitted.mesh.faces)?.nearest_all(&points, None)?;
-    let scan_to_garment = on_surface.iter().map(|at| at.squared_distance.sqrt()).sum::<f64>() / points.len() as f64;
-    // Mean distance and mean squared distance.
-    let mean = |from: &[Vec3], to: &[Vec3]| {
-        let grid = NearestGrid::from_points(to);
-        let squares: Vec<f64> = from.iter().filter_map(|p| grid.nearest_point(p)).map(|(_, d)| d).collect();
-        let n = squares.len().max(1) as f64;
-        (squares.iter().map(|d| d.sqrt()).sum::<f64>() / n, squares.iter().sum::<f64>() / n)
-    };
-    let (_, there) = mean(&points, &seen);
-    let (garment_to_scan, back) = mean(&seen, &points);
-    Ok(Distances { scan_to_garment, garment_to_scan, chamfer: there + back })
 }
 
 /// Strain plus bending energy [J] of one shape.
@@ -336,13 +544,13 @@ fn layering(
     context: &Context<'_>,
     subject: &Subject,
     scene: &Scene,
+    motion: &BodyTrack,
     nets: &Nets,
     avatar: &Nets,
 ) -> Result<Option<[f64; 2]>> {
     let [upper, lower] = &subject.garments[..] else { return Ok(None) };
-    let track = scene.motion(context)?.track;
     // A sample of the motion says as much as all of it.
-    let poses: Vec<_> = track.poses.iter().step_by((track.len() / 24).max(1)).cloned().collect();
+    let poses: Vec<_> = motion.poses.iter().step_by((motion.len() / 24).max(1)).cloned().collect();
     let track = scene.track(&poses)?;
     let reach = context.config.finetune.layering.reach;
     let inside = |nets: &Nets| -> Result<f64> {

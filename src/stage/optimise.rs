@@ -109,7 +109,10 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets, scans: &Scans)
             Ok((found, problem))
         };
         let (fabric, problem) = match estimator {
-            EstimatorConfig::Equilibrium(e) => simulated(How::Equilibrium(e.fit.clone()), e.reduction, e.solver)?,
+            EstimatorConfig::Equilibrium(e) => {
+                let (found, problem) = simulated(How::Equilibrium(e.fit.clone()), e.reduction, e.solver)?;
+                (trusted(found, e.largest_misfit), problem)
+            }
             EstimatorConfig::Alternation(a) => match a.inner {
                 Inner::Solver => simulated(How::Alternation(a.settings()), ReductionChoice::Multipliers, a.solver)?,
                 Inner::Net => {
@@ -136,6 +139,24 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets, scans: &Scans)
         return Err(Error::Length { what: "garments".into(), expected: 1, got: 0 });
     }
     Ok(Estimates { garments })
+}
+
+/// The same with the values at the start where poses fit worse than `largest` times the noise.
+fn trusted(mut found: FabricFound, largest: f64) -> FabricFound {
+    let Estimated::Equilibrium(e) = &mut found.estimate else { return found };
+    let taken: Vec<f64> = e.poses.iter().filter(|p| p.left_out.is_none()).map(|p| p.chi2).collect();
+    let misfit = (taken.iter().sum::<f64>() / taken.len().max(1) as f64).sqrt();
+    if misfit > largest {
+        e.warnings.insert(
+            0,
+            format!(
+                "not used: the poses fit {misfit:.1} times worse than noise (limit {largest}), so that the values make up for an error \
+                 of body or cut; the fabric stays as it was"
+            ),
+        );
+        found.after.clone_from(&found.before);
+    }
+    found
 }
 
 /// One solve of Eq. 10 with the nets' garments held: the paper's step between two trainings.

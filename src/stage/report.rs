@@ -1,17 +1,23 @@
 //! `report.html`: one self-contained page with pictures of every stage, curves, and the tables.
 
+mod remarks;
+
 use super::animate::{Film, strip_frames};
 use super::compare::Comparison;
 use super::evaluate::Scores;
+use super::export::Exported;
 use super::optimise::Estimates;
 use super::preprocess::Subject;
 use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
 use crate::estimate::{report as fabric, ten_fabrics};
+use crate::page;
+use crate::page::table;
+use crate::plan::ScenePlan;
 use crate::plot::{Axes, Curve, escape, lines, number};
 use crate::trainer::CurvePoint;
 use crate::training;
-use caphy_core::{Error, Result};
+use caphy_core::Result;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -34,7 +40,7 @@ pub struct Inputs<'a> {
     /// The played clip, where one was.
     pub film: Option<&'a Film>,
     /// Exported files.
-    pub exported: &'a [PathBuf],
+    pub exported: &'a Exported,
     /// Seconds per stage, milliseconds per step.
     pub timings: &'a BTreeMap<String, f64>,
 }
@@ -51,28 +57,27 @@ impl StageOutput for Page {
     }
 }
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}\
-h1,h2{font-weight:600}h2{margin-top:2em;border-bottom:1px solid #ddd}img{max-width:100%}\
-table{border-collapse:collapse;margin:.6em 0}td,th{padding:.2em .7em;border-bottom:1px solid #e4e4e4;text-align:right}\
-td:first-child,th:first-child{text-align:left}.plot{width:48%;min-width:420px}\
-.warn{background:#fff6e0;border-left:4px solid #d99a1c;padding:.5em 1em}";
-
 /// Writes the page.
 pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
-    let mut html = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>caphy report</title><style>{STYLE}{plot}</style>\
-         <h1>caphy report</h1>",
-        plot = crate::plot::STYLE,
-    );
-    overview(&mut html, inputs);
+    let mut html = page::head("caphy report");
+    overview(&mut html, context, inputs);
     let picture = |html: &mut String, title: &str, name: &str, text: &str| -> Result<()> {
         let source = embedded(context, name)?;
         let (title, text) = (escape(title), escape(text));
         let _ = write!(html, "<h2>{title}</h2><p>{text}</p><img alt=\"{title}\" src=\"{source}\">");
         Ok(())
     };
+    list(&mut html, "Warnings", "warn", &remarks::warnings(inputs));
     if let Some(played) = inputs.film {
         film(&mut html, &embedded(context, "pictures/strip.png")?, played);
+    }
+    if inputs.scans.truth.is_some() {
+        picture(
+            &mut html,
+            "The subject",
+            "truth/scans.png",
+            "A generated person in clothes of known fabric, at rest by the reference solver in every pose, as a capture rig sees them.",
+        )?;
     }
     if !inputs.subject.scans.is_empty() {
         picture(
@@ -116,59 +121,40 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
         html.push_str(&comparison.plots());
         let _ = write!(html, "<pre>{}</pre>", escape(&comparison.table()));
     }
-    let files: Vec<String> = inputs.exported.iter().take(12).map(|f| escape(&f.display().to_string())).collect();
+    if let Some(name) = &inputs.exported.picture {
+        let text = "A scan, the avatar in its pose, and the avatar in the colours of the scans that were learnt from.";
+        picture(&mut html, "Colours", &name.display().to_string(), text)?;
+        let rows =
+            inputs.exported.coloured.iter().map(|(part, share)| vec![part.clone(), format!("{:.0}", 100.0 * share)]);
+        table(&mut html, &["part", "vertices that scans show, %"], rows);
+    }
+    list(&mut html, "Limits that apply", "limits", &remarks::limits(context.config, inputs));
+    let files: Vec<String> = inputs.exported.files.iter().take(12).map(|f| escape(&f.display().to_string())).collect();
     let _ = write!(
         html,
         "<h2>Files</h2><p>{} exported, among them:</p><pre>{}</pre></html>",
-        inputs.exported.len(),
+        inputs.exported.files.len(),
         files.join("\n")
     );
     context.write("report.html", html.as_bytes())?;
     Ok(Page { file: "report.html".into() })
 }
 
+/// Sentences under a title; nothing for none.
+fn list(html: &mut String, title: &str, class: &str, sentences: &[String]) {
+    if sentences.is_empty() {
+        return;
+    }
+    let items: String = sentences.iter().map(|s| format!("<li>{}</li>", escape(s))).collect();
+    let _ = write!(html, "<h2>{title}</h2><ul class=\"{class}\">{items}</ul>");
+}
+
 /// A picture of the run directory as a data URL.
 fn embedded(context: &Context<'_>, name: &str) -> Result<String> {
-    let path = context.folder.join(name);
-    let bytes = std::fs::read(&path).map_err(|e| Error::io(&path, "read", e))?;
-    Ok(data_url(&bytes))
+    page::embedded(&context.folder.join(name))
 }
 
-/// A PNG as a page holds it.
-pub(crate) fn data_url(png: &[u8]) -> String {
-    format!("data:image/png;base64,{}", base64(png))
-}
-
-/// Standard base64 with padding (RFC 4648).
-fn base64(bytes: &[u8]) -> String {
-    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let value = chunk.iter().fold(0u32, |v, b| v << 8 | u32::from(*b)) << (8 * (3 - chunk.len()));
-        for k in 0..4 {
-            if k <= chunk.len() {
-                out.push(char::from(LETTERS[(value >> (18 - 6 * k) & 63) as usize]));
-            } else {
-                out.push('=');
-            }
-        }
-    }
-    out
-}
-
-/// A table with a head, its cells escaped.
-pub(crate) fn table(html: &mut String, head: &[&str], rows: impl IntoIterator<Item = Vec<String>>) {
-    let cells =
-        |tag: &str, row: &[String]| -> String { row.iter().map(|c| format!("<{tag}>{}</{tag}>", escape(c))).collect() };
-    let head: Vec<String> = head.iter().map(|h| h.to_string()).collect();
-    let _ = write!(html, "<table><tr>{}</tr>", cells("th", &head));
-    for row in rows {
-        let _ = write!(html, "<tr>{}</tr>", cells("td", &row));
-    }
-    html.push_str("</table>");
-}
-
-fn overview(html: &mut String, inputs: &Inputs<'_>) {
+fn overview(html: &mut String, context: &Context<'_>, inputs: &Inputs<'_>) {
     let held = inputs.subject.scans.iter().filter(|s| s.held_out).count();
     let (scans, vertices) = (
         inputs.subject.scans.len(),
@@ -177,8 +163,12 @@ fn overview(html: &mut String, inputs: &Inputs<'_>) {
     let vertices: Vec<String> = vertices.collect();
     let kind = if inputs.scans.truth.is_some() { "synthetic subject" } else { "subject" };
     let _ = write!(html, "<p>{kind}, {scans} scans ({held} held out), garments: {}.</p>", vertices.join(", "));
-    let rows = inputs.timings.iter().filter(|(name, _)| !name.ends_with("ms"));
-    table(html, &["stage", "s"], rows.map(|(name, seconds)| vec![name.clone(), format!("{seconds:.1}")]));
+    let mut rows: Vec<(&str, f64)> = Vec::new();
+    for stage in ScenePlan::new(context.config).stages {
+        rows.extend(inputs.timings.get(stage.name).map(|seconds| (stage.name, *seconds)));
+    }
+    rows.push(("all", rows.iter().map(|row| row.1).sum()));
+    table(html, &["stage", "s"], rows.iter().map(|(name, seconds)| vec![name.to_string(), format!("{seconds:.1}")]));
     let steps = inputs.timings.iter().filter(|(name, _)| name.ends_with("ms"));
     table(html, &["training step, all threads", "median ms"], steps.map(|(n, ms)| vec![n.clone(), format!("{ms:.1}")]));
 }
@@ -192,7 +182,7 @@ fn film(html: &mut String, strip: &str, film: &Film) {
         html,
         "<h2>The avatar moves</h2><style>@keyframes play{{to{{background-position:-{end}px -{margin}px}}}}</style>\
          <div style=\"width:{width}px;height:{height}px;background:url({strip}) -{margin}px -{margin}px;\
-         animation:play {seconds:.2}s steps({frames}) infinite\"></div>",
+         animation:play {seconds:.2}s steps({frames}) infinite\" role=\"img\" aria-label=\"the avatar in motion\"></div>",
         end = margin + frames * step,
     );
     let rows = film
@@ -228,9 +218,6 @@ fn fits(html: &mut String, inputs: &Inputs<'_>) {
         for note in &scan.notes {
             let _ = write!(html, "<p>Scan {} {}.</p>", escape(&scan.name), escape(note));
         }
-    }
-    for scan in &inputs.subject.skipped {
-        let _ = write!(html, "<p>Scan {} was left out: {}</p>", escape(&scan.name), escape(&scan.problem));
     }
 }
 
@@ -320,16 +307,4 @@ fn fabrics(html: &mut String, context: &Context<'_>, inputs: &Inputs<'_>) -> Res
         }
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn base64_meets_the_standard_vectors() {
-        for (text, code) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
-            assert_eq!(base64(text.as_bytes()), code);
-        }
-    }
 }

@@ -1,7 +1,9 @@
 //! Every mistake is answered with its place and with what exists.
 
 use crate::experiment::{Experiment, TINY, edited, tiny_on_scans};
+use caphy::ablation::Ablation;
 use caphy::config::Config;
+use caphy::plugins::Plugins;
 use caphy_core::Error;
 use std::path::Path;
 
@@ -32,11 +34,31 @@ fn assert_points_at(text: &str, key: &str, words: &[&str]) {
 
 #[test]
 fn shipped_configurations_are_valid() {
-    for name in ["quickstart.toml", "standin.toml"] {
+    for name in ["quickstart.toml", "standin.toml", "subject.toml", "walker.toml", "cmu.toml", "paper.toml"] {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs").join(name);
         let config = Config::read(&path).unwrap_or_else(|e| panic!("{e}"));
         assert_written_configuration_parses(&config);
     }
+}
+
+#[test]
+fn the_shipped_ablation_is_valid_and_equal_in_training() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/ablation.toml");
+    let ablation = Ablation::open(&path, None, &Plugins::new().expect("the linked types"));
+    let steps = ablation.unwrap_or_else(|e| panic!("{e}")).steps(8).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(steps, [22 * 54; 5], "every variant trains as long as the others");
+}
+
+#[test]
+fn the_papers_constants_are_in_their_file() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/paper.toml");
+    let paper = Config::read(&path).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(paper.views.count, 32);
+    let train = &paper.train;
+    assert_eq!((train.windows, train.window, train.scan_epochs), (10_000, 5, 4));
+    assert!(paper.garments().all(|(_, _, g)| g.styles == 300));
+    assert_eq!(paper.net.table()["layers"].as_integer(), Some(4));
+    assert_eq!(paper.finetune.epochs, 10);
 }
 
 #[test]

@@ -75,10 +75,20 @@ fn a_swatch_is_estimated_from_files_and_shown() {
 #[test]
 fn an_experiment_estimates_its_garments() {
     let lower = "\n[lower]\nmaterial = { type = \"measured\", fabric = \"camel-ponte-roma\" }";
-    for (estimator, has) in [
-        // Two steps at one λ and then two without: how good the values are is not this test's.
-        ("type = \"equilibrium\", scans = 1, fit = { steps_while_held = 1, steps = 2 }", "What the poses determine"),
-        ("type = \"alternation\", inner = \"solver\", rounds = 2", "Eq. 10: gradient"),
+    for (estimator, has, used) in [
+        // A step at one λ and then two without: how good the values are is not this test's.
+        (
+            "type = \"equilibrium\", scans = 1, largest_misfit = 100, fit = { steps_while_held = 1, steps = 2 }",
+            "What the poses determine",
+            true,
+        ),
+        // Templates of this coarse subject are centimetres off.
+        (
+            "type = \"equilibrium\", scans = 1, fit = { steps_while_held = 1, steps = 1 }",
+            "not used: the poses fit",
+            false,
+        ),
+        ("type = \"alternation\", inner = \"solver\", rounds = 2", "Eq. 10: gradient", true),
     ] {
         let config =
             edited(TINY, &[("type = \"alternation\"", estimator), (lower, &format!("{lower}\nmass_g = 350.0"))]);
@@ -99,7 +109,7 @@ fn an_experiment_estimates_its_garments() {
             };
             let (before, after) = (values("before"), values("after"));
             assert_eq!(before.len(), after.len());
-            assert!(before != after && after.iter().all(|v| v.is_finite()), "{after:?}");
+            assert!((before != after) == used && after.iter().all(|v| v.is_finite()), "{after:?}");
             let page = std::fs::read_to_string(out.join(garment["page"].as_str().unwrap())).unwrap();
             assert!(page.contains(has) && page.matches("data:image/png").count() >= 2);
             assert!(out.join(garment["picture"]["file"].as_str().unwrap()).exists());

@@ -158,3 +158,36 @@ fn garments_and_motion_that_nobody_here_made() {
         );
     }
 }
+
+#[test]
+fn a_trackers_file_is_smoothed_and_stood_up() {
+    let folder = folder();
+    let at = folder.path();
+    // What is no tracker's is not read as one.
+    let play = ["animate", "--garment", "upper", "--motion", "walk", "--out", "x"];
+    let said = refusal(at, &[&play[..], &["--up", "z"]].concat());
+    assert!(said.contains("--up") && said.contains("no .npz"), "{said}");
+    let said = refusal(at, &[&play[..], &["--smoothing", "0.1"]].concat());
+    assert!(said.contains("--smoothing") && said.contains("--gravity"), "{said}");
+    let Some(shared) = shared() else { return };
+    let clip = shared.join("data/mocap/cmu_49_18_smplh.npz").display().to_string();
+    let frames = |name: &str, options: &[&str]| {
+        let play = ["animate", "--body", "body.toml", "--motion", &clip, "--translation", "pelvis_position"];
+        let out = ["--seconds", "0.2", "--format", "obj", "--out", name];
+        let output = caphy(at, &[&play[..], &out, options].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let path = at.join(name).join("body/frame_0004.obj");
+        read_obj(&path, &std::fs::read(&path).expect("an OBJ")).expect("a mesh").scan.mesh.vertices
+    };
+    let apart = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+    let recorded = frames("amass", &[]);
+    // Eight digits of a few metres.
+    assert!(apart(&recorded, &frames("axis", &["--up", "z", "--smoothing", "0"])) < 1e-6);
+    assert!(apart(&recorded, &frames("gravity", &["--gravity", "0,0,-9.81", "--smoothing", "0"])) < 1e-6);
+    let smoothed = apart(&recorded, &frames("smoothed", &["--gravity", "0,0,-1", "--smoothing", "0.2"]));
+    assert!(smoothed > 1e-3 && smoothed < 0.5, "{smoothed}");
+    let tilted = frames("tilted", &["--gravity", "0,0.5,-1"]);
+    assert!(apart(&recorded, &tilted) > 0.1);
+    let said = refusal(at, &["animate", "--motion", &clip, "--gravity", "0,0,0", "--out", "x"]);
+    assert!(said.contains("--gravity"), "{said}");
+}

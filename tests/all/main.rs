@@ -1,5 +1,7 @@
 //! Tests of the whole program, one module per thing that must hold.
 
+/// Parts of the method left out.
+mod ablation;
 /// Missing, damaged and unsuitable input.
 mod bad_input;
 /// The net on a framework, when asked for.

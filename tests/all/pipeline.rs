@@ -1,11 +1,17 @@
 //! One tiny run is made once; what follows it happens in copies.
 
+use crate::commands::text;
 use crate::experiment::{Experiment, TINY, edited, files, header, value};
 use caphy::config::Config;
-use caphy::runner::Run;
+use caphy::manifest::Manifest;
+use caphy::measure::Fit;
+use caphy::plugins::Plugins;
+use caphy::runner::{Run, compare, replay};
 use caphy::stage::animate::Film;
 use caphy::stage::evaluate::Scores;
+use caphy::stage::export::Exported;
 use caphy::stage::train::Nets;
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -73,19 +79,71 @@ fn a_run_ends_with_a_report_that_holds_its_pictures() {
     for (name, png) in pictures {
         assert!(html.contains(&start_of_data_url(png)), "{name} is not in the report");
     }
-    for from_elsewhere in ["src=\"", "href=\""] {
-        for (at, _) in html.match_indices(from_elsewhere) {
-            let target = &html[at + from_elsewhere.len()..];
-            assert!(
-                target.starts_with("data:") || target.starts_with("export/"),
-                "the report needs {}",
-                target.chars().take(60).collect::<String>()
-            );
-        }
+    assert_self_contained(html);
+    assert!(html.contains(&start_of_data_url(&all["truth/scans.png"])), "the subject is not in the report");
+    for part in ["Warnings", "Limits that apply", "@keyframes", "VGG-16", "2 scans to learn from", "Colours"] {
+        assert!(html.contains(part), "`{part}` is not in the report");
     }
     assert!(html.contains("<svg"), "the report has no curves");
     let config = std::str::from_utf8(&all["config.toml"]).expect("text");
     Config::parse(Path::new("config.toml"), config).unwrap_or_else(|e| panic!("{e}"));
+}
+
+/// Nothing is fetched: neither from the network nor from files beside the page.
+pub(crate) fn assert_self_contained(html: &str) {
+    // Pictures and plots hold none of these by chance: base64 has no quotes and no brackets.
+    let attributes = ["src=", "href=", "url(", "srcset=", "data=", "action=", "poster=", "import "];
+    for attribute in attributes {
+        for (at, _) in html.match_indices(attribute) {
+            // `data=` and the like within a word of base64 are no attributes.
+            if attribute != "url(" && !html[..at].ends_with([' ', '@']) {
+                continue;
+            }
+            let target = html[at + attribute.len()..].trim_start_matches(['"', '\'']);
+            let shown: String = target.chars().take(60).collect();
+            assert!(target.starts_with("data:image/"), "the page needs {attribute}{shown}");
+        }
+    }
+    for tag in ["<script", "<link", "<iframe", "<base", "http:", "https:"] {
+        assert!(!html.contains(tag), "the page has {tag}");
+    }
+}
+
+/// Whether a browser without a window draws the page in full, with every picture. Skipped where there is none.
+#[test]
+fn a_browser_shows_the_report() {
+    let names = ["chromium", "chromium-browser", "google-chrome", "headless_shell"];
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let found = std::env::split_paths(&path).flat_map(|folder| names.map(|n| folder.join(n))).find(|p| p.is_file());
+    let Some(browser) = found else {
+        use std::io::Write;
+        // Straight to the terminal: what the print macros write is only shown for tests that fail.
+        let _ = writeln!(std::io::stderr(), "SKIPPED: the report is not opened, there is no {}", names.join(", "));
+        return;
+    };
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    // Alone in its folder: what it needs from elsewhere is not there.
+    let page = folder.path().join("report.html");
+    let mut html = std::fs::read_to_string(finished().join("report.html")).expect("the report");
+    let count = "<p id=\"drawn\"></p><script>addEventListener('load',()=>{const all=[...document.images];\
+                 document.getElementById('drawn').textContent='drawn '+all.filter(i=>i.complete&&i.naturalWidth>99).length+\
+                 ' of '+all.length})</script>";
+    html = html.replace("</html>", &format!("{count}</html>"));
+    std::fs::write(&page, &html).expect("written");
+    let profile = folder.path().join("profile");
+    let output = Command::new(&browser)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=20000", "--dump-dom"])
+        .arg(format!("--user-data-dir={}", profile.display()))
+        .arg(&page)
+        .stderr(Stdio::null())
+        .output()
+        .expect("the browser starts");
+    let drawn = String::from_utf8_lossy(&output.stdout).to_string();
+    let pictures = html.matches("<img ").count();
+    assert!(pictures >= 6 && drawn.contains(&format!("drawn {pictures} of {pictures}")), "{}", {
+        let at = drawn.rfind("id=\"drawn\"").unwrap_or(0);
+        drawn[at..].chars().take(80).collect::<String>()
+    });
 }
 
 #[test]
@@ -100,6 +158,22 @@ fn the_avatar_is_exported() {
     assert_eq!(meshes, ["body", "upper", "lower"]);
     assert_eq!(scene["skins"].as_array().map(Vec::len), Some(1));
     assert_eq!(scene["animations"].as_array().map(Vec::len), Some(1));
+    // In the scans' colours: upper and lower garment of a generated person differ.
+    for mesh in scene["meshes"].as_array().expect("meshes") {
+        assert!(mesh["primitives"][0]["attributes"]["COLOR_0"].is_u64(), "{} has no colours", mesh["name"]);
+    }
+    let mean = |part: &str| {
+        let name = format!("export/{part}.ply");
+        let scan = caphy_formats::ply::read_ply(Path::new(&name), &all[&name]).expect("a PLY");
+        let colours = scan.colours.expect("colours");
+        assert_eq!(colours.len(), scan.mesh.vertices.len());
+        [0, 1, 2].map(|k| colours.iter().map(|c| f64::from(c[k])).sum::<f64>() / colours.len() as f64)
+    };
+    let (upper, lower) = (mean("upper"), mean("lower"));
+    let apart: f64 = (0..3).map(|k| (upper[k] - lower[k]).powi(2)).sum::<f64>().sqrt();
+    assert!(apart > 30.0, "{upper:?} {lower:?}");
+    let exported: Exported = value(finished(), "export");
+    assert!(exported.coloured.iter().all(|(_, share)| *share > 0.3), "{:?}", exported.coloured);
 
     // 1 s at 30 fps are 31 frames, every fifth from the first on as OBJ.
     for part in ["body", "upper", "lower"] {
@@ -148,7 +222,18 @@ fn what_was_fitted_is_near_the_truth() {
         assert_eq!(scan.garments.len(), 2);
         for garment in &scan.garments {
             // Vertices are 5 cm apart: a point on a well-placed triangle is up to 29 mm from the nearest corner.
-            assert!(garment.scan_to_garment_mm < 40.0, "{}: {garment:?}", scan.name);
+            assert!(garment.net.scan_to_garment_mm < 40.0, "{}: {garment:?}", scan.name);
+            // The scan lies on the true garment, but for noise of half a millimetre; nothing is nearer than that.
+            let truth = garment.truth.as_ref().expect("the truth is known");
+            assert!(truth.scan_to_garment_mm < 1.0 && truth.scan_to_garment_mm < garment.net.scan_to_garment_mm);
+            assert!(truth.normal_map < garment.net.normal_map && truth.ms_ssim < garment.net.ms_ssim, "{garment:?}");
+            // A mean square is never below the squared mean.
+            let Fit { scan_to_garment_mm: mean, scan_to_garment_mm2: square, .. } = garment.net;
+            assert!(square >= mean * mean, "{garment:?}");
+            assert!(garment.solver.is_none(), "not asked for");
+            // Two scans are learnt from: each has the other one.
+            assert!(garment.nearest_scan_deg.is_some_and(|a| a > 0.0 && a < 180.0), "{garment:?}");
+            assert!(garment.nearest_motion_deg.is_some_and(|a| a > 0.0 && a < 180.0), "{garment:?}");
         }
     }
     assert_eq!(scores.fabrics.len(), 2);
@@ -157,11 +242,82 @@ fn what_was_fitted_is_near_the_truth() {
 #[test]
 fn a_second_run_does_nothing() {
     let experiment = Experiment::copy_of(finished(), TINY);
-    let before = files(&experiment.out());
+    let mut before = files(&experiment.out());
     let summary = experiment.run();
     assert!(summary.ran.is_empty(), "ran {:?}", summary.ran);
     assert!(summary.table.contains("scan-02 (held out)"), "{}", summary.table);
-    assert!(files(&experiment.out()) == before, "files changed");
+    let mut after = files(&experiment.out());
+    // The copy's configuration lies elsewhere, and nothing else is new.
+    let (old, new) = (before.remove("run.json"), after.remove("run.json"));
+    let manifest =
+        |bytes: Option<Vec<u8>>| -> Manifest { serde_json::from_slice(&bytes.expect("run.json")).expect("JSON") };
+    let (old, new) = (manifest(old), manifest(new));
+    assert_ne!(old.base, new.base);
+    assert_eq!(Manifest { base: old.base.clone(), ..new }, old);
+    assert!(after == before, "files changed");
+    assert!(old.stages.keys().map(String::as_str).collect::<BTreeSet<_>>() == STAGES.into(), "{:?}", old.stages);
+    assert!(
+        old.inputs.keys().map(String::as_str).eq(["scan scan-00", "scan scan-01", "scan scan-02"]),
+        "{:?}",
+        old.inputs
+    );
+    // Unless it is told to.
+    let again = |run: Run| run.from("export")?.until("export")?.all();
+    let summary = Run::open(&experiment.config(), Some(experiment.out())).and_then(again);
+    assert_eq!(summary.unwrap_or_else(|e| panic!("{e}")).ran, ["export"]);
+    let export = &files(&experiment.out())["export.caphy"];
+    assert!(export == &before["export.caphy"], "exported again with other bits");
+}
+
+#[test]
+fn settings_take_the_place_of_the_files_own() {
+    let experiment = Experiment::copy_of(finished(), &edited(TINY, &[("out = \"out\"", "out = \"../run/out\"")]));
+    let above = experiment.folder.path().join("run");
+    std::fs::create_dir(&above).expect("a folder");
+    std::fs::rename(experiment.out(), above.join("out")).expect("moved");
+    std::fs::create_dir(experiment.folder.path().join("configs")).expect("a folder");
+    std::fs::rename(experiment.config(), experiment.folder.path().join("configs/experiment.toml")).expect("moved");
+    let run = |more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_caphy"));
+        command.current_dir(experiment.folder.path()).args(["run", "configs/experiment.toml"]).args(more);
+        let output = command.output().expect("the program ends");
+        (output.status.success(), text(&output.stdout) + &text(&output.stderr))
+    };
+    let (ended, said) = run(&["--set", "evaluate.penetration_m=1e-2", "--set", "animate.clip.seed = 12"]);
+    assert!(ended && said.contains("Ran evaluate, animate, export, report"), "{said}");
+    // Where the report lies is said without detours.
+    assert!(said.contains("Report: run/out/report.html\n"), "{said}");
+    let manifest = Manifest::read(&above.join("out")).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(manifest.set, ["evaluate.penetration_m=0.01", "animate.clip.seed=12"]);
+    let resolved = Config::read(&above.join("out/config.toml")).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(resolved.evaluate.penetration_m, 1e-2);
+
+    for (setting, words) in [
+        ("train.roundz=3", ["--set train.roundz=3", "rounds"]),
+        ("train.rounds=many", ["--set train.rounds=\"many\"", "invalid type"]),
+        ("upper.material.fabric=silk", ["--set upper.material.fabric=\"silk\"", "gray-interlock"]),
+        ("train.batch=17", ["--set train.batch=17", "give 1 to 16"]),
+        ("upper.style=[0.5]", ["--set upper.style=[0.5]", "found from the scans"]),
+    ] {
+        // Beside one that is right.
+        let (ended, said) = run(&["--set", "train.rounds=3", "--set", setting]);
+        assert!(!ended && words.iter().all(|w| said.contains(w)), "{setting}: {said}");
+    }
+    // Two runs beside each other.
+    let between = compare([finished(), &above.join("out")]).unwrap_or_else(|e| panic!("{e}"));
+    let keys: Vec<&str> = between.config.iter().map(|c| c.name.as_str()).collect();
+    assert_eq!(keys, ["animate.clip.seed", "evaluate.penetration_m"]);
+    // What penetrates is counted while the clip is played, too.
+    let stages: Vec<&str> = between.stages.iter().map(|c| c.name.as_str()).collect();
+    assert_eq!(stages, ["animate", "evaluate"]);
+    assert!(between.data.is_empty() && between.code.is_some(), "the tests are another program");
+    let name = "upper, held out: scan → surface, mm";
+    let row = between.results.iter().find(|r| r.name == name).expect("a mean");
+    assert!(row.first.is_some() && row.first == row.second);
+    let said = between.text();
+    for word in ["animate.clip.seed: 11 → 12", "Data: the same", name, "+0.0 %"] {
+        assert!(said.contains(word), "{word} is missing in {said}");
+    }
 }
 
 #[test]
@@ -221,11 +377,27 @@ fn another_fabric_keeps_the_fitted_body() {
 }
 
 #[test]
-fn one_thread_gives_the_same_bits_as_two() {
-    let experiment = Experiment::new(TINY);
-    let summary = on_threads(1, || experiment.try_run()).unwrap_or_else(|e| panic!("{e}"));
-    assert_eq!(summary.ran, STAGES);
-    assert_same_results(&experiment.out());
+fn a_replay_on_one_thread_gives_the_same_bits_as_two() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("again");
+    let mut plugins = Plugins::new().expect("the linked types");
+    let replayed = on_threads(1, || replay(finished(), Some(out.clone()), &mut plugins));
+    let replayed = replayed.unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(replayed.summary.ran, STAGES);
+    assert!(replayed.is_same(), "{}", replayed.text());
+    assert!(replayed.text().contains("The same bits in 9 of 9 stages"), "{}", replayed.text());
+    assert_same_results(&out);
+    // What was tampered with is named; nothing is run again for that.
+    let copy = Experiment::copy_of(finished(), TINY);
+    damage(&copy.out().join("scans/scan-01.ply"));
+    std::fs::write(copy.out().join("pictures/new.png"), b"new").expect("written");
+    let mut plugins = Plugins::new().expect("the linked types");
+    let changed = replay(&copy.out(), Some(out.clone()), &mut plugins).unwrap_or_else(|e| panic!("{e}"));
+    assert!(changed.summary.ran.is_empty() && !changed.is_same());
+    assert_eq!(changed.files, ["pictures/new.png", "scans/scan-01.ply"]);
+    let mut plugins = Plugins::new().expect("the linked types");
+    let itself = replay(&out, Some(out.clone()), &mut plugins).expect_err("no replay into itself").to_string();
+    assert!(itself.contains("is the run itself"), "{itself}");
 }
 
 /// Artifacts and files of a run against those of the uninterrupted run on two threads.

@@ -1,0 +1,49 @@
+//! The page of an ablation, self-contained.
+
+use super::Table;
+use super::table::{HEAD, MEANING};
+use crate::page;
+use crate::plot::{escape, number};
+use caphy_core::Result;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// The page: a table per garment, everything that was measured, pictures by title.
+pub(super) fn page(table: &Table, pictures: &[(String, PathBuf)]) -> Result<String> {
+    let mut html = page::head("caphy ablation");
+    // Writing to a String cannot fail.
+    let _ = write!(
+        html,
+        "<p>Seeds {:?}. In brackets: the change against “{}”, and where 95 % of the draws of scans lie.</p>",
+        table.seeds,
+        escape(&table.against)
+    );
+    let mut kinds: Vec<_> = table.rows.iter().map(|r| r.kind).collect();
+    kinds.dedup();
+    for kind in kinds {
+        let rows: Vec<_> = table.rows.iter().filter(|r| r.kind == kind).collect();
+        let _ = write!(html, "<h2>{kind} garment</h2><p>{} held-out scans.</p>", rows[0].scans);
+        page::table(&mut html, &HEAD, rows.iter().map(|r| r.cells().to_vec()));
+        let _ = write!(html, "<details><summary>Everything that was measured</summary>");
+        let names: Vec<&str> = rows[0].means.iter().map(|m| m.name.as_str()).collect();
+        let head: Vec<&str> =
+            std::iter::once("").chain(names.iter().copied()).chain(["fabric, median |log ratio|"]).collect();
+        let cells = rows.iter().map(|row| {
+            let mean =
+                |name: &&str| row.means.iter().find(|m| m.name == **name).map_or("–".to_string(), |m| number(m.mean));
+            let mut cells = vec![row.title.clone()];
+            cells.extend(names.iter().map(mean));
+            cells.push(row.fabric_log_error.map_or("–".into(), number));
+            cells
+        });
+        page::table(&mut html, &head, cells);
+        html.push_str("</details>");
+    }
+    let _ = write!(html, "<p>{}</p><h2>Held-out scans</h2>", escape(MEANING.trim()));
+    for (title, path) in pictures {
+        let source = page::embedded(path)?;
+        let _ = write!(html, "<h3>{0}</h3><img alt=\"{0}\" src=\"{source}\">", escape(title));
+    }
+    html.push_str("</html>");
+    Ok(html)
+}
