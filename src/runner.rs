@@ -299,7 +299,7 @@ impl Run {
             let (name, again) = stage::alternation_names(alternation);
             let Some((nets, hash)) = trained.as_ref().filter(|_| self.plan.has(name)) else { continue };
             let (nets, hash) = (nets.clone(), hash.clone());
-            let key = part(&["upper", "lower", "body", "net", "train", "optimise"]);
+            let key = part(&["upper", "lower", "body", "net", "train", "optimise", "finetune.layering.order"]);
             let (estimate, estimate_hash) =
                 self.stage(name, &key, &hash, |cx| stage::optimise::run(cx, &subject, &nets, &scans))?;
             if self.plan.has(again) {
