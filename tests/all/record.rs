@@ -442,7 +442,7 @@ fn longer() -> String {
         &[
             ("rounds = 3", "rounds = 24\nmeasure_every = 9\npreview_every = 5"),
             ("checkpoint_every = 5", "checkpoint_every = 7"),
-            ("[optimise]\nrounds = 2", "[optimise]\nalternations = 0"),
+            ("[optimise]\nrounds = 2\nestimator = { type = \"alternation\" }", "[optimise]\nalternations = 0"),
             ("epochs = 6", "epochs = 24"),
         ],
     )
