@@ -12,7 +12,7 @@ use std::sync::Arc;
 const LENGTH: f64 = 0.1;
 const WIDTH: f64 = 0.05;
 const DENSITY: f64 = 0.2;
-const K: f64 = 2e-4;
+const K: f64 = 2e-3;
 /// Steps along the elastica.
 const STEPS: usize = 2000;
 
@@ -27,14 +27,14 @@ fn elastica(rigidity: f64) -> f64 {
             let bend = |s: f64, angle: f64| -weight * (LENGTH - s) * angle.cos() / rigidity;
             let s = i as f64 * h;
             // Midpoint rule: second order, errors of 1e-6 here.
-            let (a, r) = (angle + 0.5 * h * rate, rate + 0.5 * h * -bend(s, angle));
+            let (a, r) = (angle + 0.5 * h * rate, rate + 0.5 * h * bend(s, angle));
             fall += h * a.sin();
             angle += h * r;
-            rate -= h * bend(s + 0.5 * h, a);
+            rate += h * bend(s + 0.5 * h, a);
         }
         (rate, fall)
     };
-    // Falling is positive here: the rate starts positive and ends at zero.
+    // Falling is positive: the rate starts positive and ends at zero.
     let (mut low, mut high) = (-2.0 * weight * LENGTH * LENGTH / rigidity, 0.0);
     for _ in 0..80 {
         let middle = 0.5 * (low + high);
@@ -86,8 +86,7 @@ pub(crate) fn section() -> Section {
     }
     Ok(format!(
         "A strip of {} by {} mm sticks out level and bends under its weight; k = {K} N m in Eq. 7. The rigidity is that of the heavy \
-         elastica with the same fall of the tip: a fraction of k that depends on the triangles' shapes and only a little on their \
-         size. A k is no plate rigidity.\n{}",
+         elastica with the same fall of the tip: a fraction of k that depends on the triangles. A k is no plate rigidity.\n{}",
         1e3 * LENGTH,
         1e3 * WIDTH,
         table(&["edges, mm", "fall of the tip over the length", "rigidity of the elastica, N m", "over k"], &rows)

@@ -36,12 +36,8 @@ pub(crate) fn section(name: &str, figures: &Figures) -> Section {
                     Some(curve) => curve.points.push((curve.points.len() as f64, middle.max(1e-3))),
                     None => curves.push(Curve { name: what.into(), points: vec![(0.0, middle.max(1e-3))] }),
                 }
-                [
-                    format!("{middle:.3}"),
-                    format!("{worst:.3}"),
-                    format!("{covered} of {known}"),
-                    format!("{:.2}", found.inflation),
-                ]
+                let said = |v: f64| if known == 0 { "none known".to_string() } else { format!("{v:.3}") };
+                [said(middle), said(worst), format!("{covered} of {known}"), format!("{:.2}", found.inflation)]
             }
             Err(error) => [error.to_string(), String::new(), String::new(), String::new()],
         };
@@ -80,7 +76,14 @@ pub(crate) fn section(name: &str, figures: &Figures) -> Section {
         }
         tell("scan of a finer mesh", 1e3 * SIDE / cells as f64, "mm edges", &case, &problem, &plain);
     }
-    let head = ["what is wrong", "by", "median ∣log ratio∣", "largest", "intervals that cover", "χ²"];
+    let head = [
+        "what is wrong",
+        "by",
+        "median ∣log ratio∣",
+        "largest",
+        "intervals that cover",
+        "factor on the noise's variance",
+    ];
     let axes = Axes {
         title: "Error against what is wrong, in the order of the table",
         x: "place in the table's rows",
