@@ -47,7 +47,7 @@ pub(crate) fn section(figures: &Figures) -> Section {
         for from in [Vec3::new(0.4, 0.5, 1.0), Vec3::new(0.0, 1.0, 1e-3)] {
             let camera = frame(bounds, &from, Projection::Orthographic, 220, 220);
             let picture = Picture::new(camera, vec![Layer::uniform(&mesh, [150, 170, 200])]).draw();
-            cells.push((format!("{name} {coefficient:.2}"), picture));
+            cells.push((name.clone(), picture));
         }
     }
     Ok(format!(
