@@ -5,7 +5,6 @@ use crate::{Figures, Section, table};
 use caphy::plot::{Axes, Curve, lines};
 use caphy_garment::estimate::alternation::{alternation, between};
 use caphy_garment::estimate::{AlternationSettings, ForceBalanceSettings, GradientBy, Reduction, ShapeBalance};
-use caphy_garment::solver::Forces;
 
 /// Rounds of an alternation.
 const ROUNDS: usize = 12;
@@ -23,13 +22,7 @@ pub(crate) fn noise(fabrics: &[&str]) -> Section {
         for noise in [0.0, 2e-5, 1e-4, 5e-4] {
             let problem = case.problem(scaled(&case.truth, 1.3), noise, 1);
             let reduction = Reduction::multipliers(&*problem.material)?;
-            let balance = ShapeBalance {
-                rest: &case.rest,
-                forces: Forces::default(),
-                captures: &problem.captures,
-                gradient: GradientBy::Canonical,
-                contact_slack_m: 2e-3,
-            };
+            let balance = ShapeBalance::of(&problem, GradientBy::Canonical, 2e-3);
             let shapes: Vec<_> = problem.captures.iter().map(|c| c.scan.points().to_vec()).collect();
             let ones = vec![1.0; reduction.len()];
             let found = balance.estimate(&*problem.material, &reduction, &ones, &shapes, &free())?;

@@ -45,7 +45,7 @@ pub struct WornEquilibrium {
     /// What is turned of the fabric's numbers. Default `multipliers`.
     pub reduction: ReductionChoice,
     /// Training keeps its fabric where poses fit worse than this many times the scans' noise: such an answer makes up for an error of
-    /// body or cut (trousers of a wrong length came out 69 times too stiff at 4.4). The report shows it all the same. Default 3.
+    /// body or cut (trousers of a wrong length came out 69 times as stiff as they started, at 4.4). The report shows it all the same. Default 3.
     pub largest_misfit: f64,
     /// The fit. Defaults as for `caphy estimate`, except that the cut (`ease_sd` 0.02) and the body's surface
     /// (`body_offset_sd_m` 0.002) are fitted along, that the springs begin at 0.1 (the garment is put on its scan before), and that one

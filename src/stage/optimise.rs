@@ -144,8 +144,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets, scans: &Scans)
 /// The same with the values at the start where poses fit worse than `largest` times the noise.
 fn trusted(mut found: FabricFound, largest: f64) -> FabricFound {
     let Estimated::Equilibrium(e) = &mut found.estimate else { return found };
-    let taken: Vec<f64> = e.poses.iter().filter(|p| p.left_out.is_none()).map(|p| p.chi2).collect();
-    let misfit = (taken.iter().sum::<f64>() / taken.len().max(1) as f64).sqrt();
+    let misfit = e.misfit();
     if misfit > largest {
         e.warnings.insert(
             0,
@@ -167,13 +166,7 @@ fn by_net(
     settings: &WornAlternation,
 ) -> Result<FabricFound> {
     let reduction = Reduction::multipliers(&*problem.material)?;
-    let balance = ShapeBalance {
-        rest: &problem.rest,
-        forces: problem.forces,
-        captures: &problem.captures,
-        gradient: settings.gradient,
-        contact_slack_m: settings.contact_slack_m,
-    };
+    let balance = ShapeBalance::of(problem, settings.gradient, settings.contact_slack_m);
     let ones = vec![1.0; reduction.len()];
     let shapes = wardrobe.shapes(garment);
     let found = balance.estimate(&*problem.material, &reduction, &ones, shapes, &settings.force_balance)?;

@@ -82,13 +82,7 @@ pub fn alternation(
         let problem = format!("{} rounds at λ {}", settings.rounds, settings.lambda);
         return Err(Error::config("alternation", problem, "give at least one round and a positive λ"));
     }
-    let balance = ShapeBalance {
-        rest: &problem.rest,
-        forces: problem.forces,
-        captures: &problem.captures,
-        gradient: settings.gradient,
-        contact_slack_m: settings.contact_slack_m,
-    };
+    let balance = ShapeBalance::of(problem, settings.gradient, settings.contact_slack_m);
     let mut multipliers: Vec<f64> = vec![1.0; reduction.len()];
     let mut shapes: Vec<Vec<Vec3>> = problem.captures.iter().map(|c: &Capture| c.start.clone()).collect();
     let mut history: Vec<Vec<f64>> = Vec::new();

@@ -2,6 +2,7 @@
 
 use super::balance_system::BalanceSystem;
 use super::capture::Capture;
+use super::equilibrium::Problem;
 use super::force_balance::{FabricEstimate, ForceBalanceSettings, reported, solve};
 use super::reduction::Reduction;
 use crate::GarmentRest;
@@ -53,7 +54,13 @@ struct Kept {
     targets: Vec<f64>,
 }
 
-impl ShapeBalance<'_> {
+impl<'a> ShapeBalance<'a> {
+    /// For the cloth, forces and poses of a problem.
+    pub fn of(problem: &'a Problem, gradient: GradientBy, contact_slack_m: f64) -> Self {
+        let Problem { rest, forces, captures, .. } = problem;
+        Self { rest, forces: *forces, captures, gradient, contact_slack_m }
+    }
+
     /// Solves Eq. 10 for a reduction's multipliers, starting at `multipliers` of `material`; λ_reg pulls back to them.
     ///
     /// A material that is linear in its parameters is solved as bounded least squares, A taken anew until no clamp switches; any

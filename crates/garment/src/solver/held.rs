@@ -1,10 +1,10 @@
 //! Rest with contacts that are held: what a small change of fabric, cut or body does.
 
 use super::Solver;
-use super::newton::{Newton, Stop};
+use super::newton::Newton;
 use super::relaxation::Guide;
 use super::scene::Scene;
-use super::solution::{Method, Outcome, Progress, Solution, SolveReport};
+use super::solution::{Method, Progress, Solution, SolveReport};
 use super::state::flat;
 use super::state::{Prepared, Workspace};
 use caphy_core::{Error, Result, Vec3};
@@ -65,23 +65,10 @@ impl Solver {
         let steps = (settings.iterations, settings.tolerance_n);
         let stop = newton.run(self, &prepared, &frozen, &mut workspace, &mut x, steps, progress)?;
         let report = SolveReport {
-            outcome: match stop {
-                Stop::Converged => Outcome::Converged,
-                Stop::Stalled => Outcome::Stalled,
-                Stop::StepsUsed => Outcome::IterationLimit,
-            },
-            method: Method::Newton,
-            residual_n: 0.0,
-            residual_vertex: 0,
-            iterations: newton.iterations,
             factorisations: factorisations + newton.factorisations,
-            evaluations: 0,
             rounds: 1,
             damped: newton.damped,
-            energies: Vec::new(),
-            pairs_open: 0,
-            friction_open_n: 0.0,
-            soft_modes: Vec::new(),
+            ..SolveReport::new(stop.into(), Method::Newton, newton.iterations)
         };
         self.finish(&prepared, frozen, workspace, &x, report)
     }

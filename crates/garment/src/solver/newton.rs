@@ -2,7 +2,7 @@
 
 use super::Solver;
 use super::factor::{Factor, Kind};
-use super::solution::Progress;
+use super::solution::{Outcome, Progress};
 use super::sparse::BlockMatrix;
 use super::state::{Frozen, Prepared, Workspace, total};
 use super::vector::{dot, largest, moved};
@@ -27,6 +27,16 @@ pub(super) enum Stop {
     Converged,
     StepsUsed,
     Stalled,
+}
+
+impl From<Stop> for Outcome {
+    fn from(stop: Stop) -> Self {
+        match stop {
+            Stop::Converged => Self::Converged,
+            Stop::Stalled => Self::Stalled,
+            Stop::StepsUsed => Self::IterationLimit,
+        }
+    }
 }
 
 /// What is remembered from step to step and round to round.

@@ -163,11 +163,7 @@ impl Solver {
             let stop = newton.run(self, prepared, &frozen, &mut workspace, x, (steps, settings.tolerance_n), &say)?;
             rounds += 1;
             if !touching {
-                outcome = match stop {
-                    Stop::Converged => Outcome::Converged,
-                    Stop::Stalled => Outcome::Stalled,
-                    Stop::StepsUsed => Outcome::IterationLimit,
-                };
+                outcome = stop.into();
                 break;
             }
             if stop != Stop::StepsUsed {
@@ -186,19 +182,12 @@ impl Solver {
             }
         }
         let report = SolveReport {
-            outcome,
-            method: Method::Newton,
-            residual_n: 0.0,
-            residual_vertex: 0,
-            iterations: newton.iterations,
             factorisations: factorisations + newton.factorisations,
-            evaluations: 0,
             rounds,
             damped: newton.damped,
-            energies: Vec::new(),
             pairs_open: open.0,
             friction_open_n: open.1,
-            soft_modes: Vec::new(),
+            ..SolveReport::new(outcome, Method::Newton, newton.iterations)
         };
         self.finish(prepared, frozen, workspace, x, report)
     }
@@ -218,21 +207,7 @@ impl Solver {
             self.relax(prepared, start, &mut workspace, (x, &mut frozen), (Guide::Past, steps, tolerance), progress)?;
         let outcome =
             if relaxed.residual_n <= self.settings.tolerance_n { Outcome::Converged } else { Outcome::IterationLimit };
-        let report = SolveReport {
-            outcome,
-            method: Method::Lbfgs,
-            residual_n: 0.0,
-            residual_vertex: 0,
-            iterations: relaxed.steps,
-            factorisations: 0,
-            evaluations: 0,
-            rounds: 0,
-            damped: 0,
-            energies: Vec::new(),
-            pairs_open: 0,
-            friction_open_n: 0.0,
-            soft_modes: Vec::new(),
-        };
+        let report = SolveReport::new(outcome, Method::Lbfgs, relaxed.steps);
         self.finish(prepared, frozen, workspace, x, report)
     }
 

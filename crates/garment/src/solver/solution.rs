@@ -62,6 +62,24 @@ pub struct SolveReport {
 }
 
 impl SolveReport {
+    /// After so many steps; what is not known yet is nothing.
+    pub(super) fn new(outcome: Outcome, method: Method, iterations: usize) -> Self {
+        Self {
+            outcome,
+            method,
+            residual_n: 0.0,
+            residual_vertex: 0,
+            iterations,
+            factorisations: 0,
+            evaluations: 0,
+            rounds: 0,
+            damped: 0,
+            energies: Vec::new(),
+            pairs_open: 0,
+            friction_open_n: 0.0,
+            soft_modes: Vec::new(),
+        }
+    }
     /// Energy of a term [J]; 0 for one that did not act.
     pub fn energy(&self, term: &str) -> f64 {
         self.energies.iter().find(|e| e.0 == term).map_or(0.0, |e| e.1)

@@ -125,6 +125,18 @@ pub struct EquilibriumEstimate {
     pub warnings: Vec<String>,
 }
 
+impl EquilibriumEstimate {
+    /// How many times worse than the scans' noise the poses that took part fit, √ of their mean χ².
+    pub fn misfit(&self) -> f64 {
+        misfit(&self.poses)
+    }
+}
+
+fn misfit(poses: &[PoseReport]) -> f64 {
+    let taken: Vec<f64> = poses.iter().filter(|p| p.left_out.is_none()).map(|p| p.chi2).collect();
+    (taken.iter().sum::<f64>() / taken.len().max(1) as f64).sqrt()
+}
+
 /// Factor on the noise's variance for a χ² per degree of freedom. What exceeds noise by more than chance (three standard deviations
 /// of χ²) is a wrong model rather than more noise: alike over a patch of the cloth with `per_patch` measurements, which then say
 /// together what one would.
@@ -411,12 +423,10 @@ impl Fit<'_> {
             out.push(format!("at its bound: {}", bound.join(", ")));
         }
         if inflation > 2.0 {
-            let taken: Vec<f64> = poses.iter().filter(|p| p.left_out.is_none()).map(|p| p.chi2).collect();
-            let chi2 = taken.iter().sum::<f64>() / taken.len().max(1) as f64;
             out.push(format!(
                 "the poses fit {:.1} times worse than the scans' noise: body, registration, friction or the cut are off; intervals are \
                  widened as if that were alike over {:.0} mm, but know of nothing that is off everywhere",
-                chi2.sqrt(),
+                misfit(poses),
                 1e3 * self.settings.misfit_length_m
             ));
         }
