@@ -14,7 +14,7 @@ use caphy_core::query::NearestGrid;
 use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::contact::ContactMap;
-use caphy_garment::energy::ScanCloud;
+use caphy_garment::energy::{LayeringOrder, ScanCloud};
 use caphy_garment::template::GarmentKind;
 use std::sync::Arc;
 
@@ -152,6 +152,14 @@ pub fn label_of(kind: GarmentKind) -> Label {
     match kind {
         GarmentKind::Upper => Label::Upper,
         GarmentKind::Lower => Label::Lower,
+    }
+}
+
+/// The garment that lies over the other one.
+pub fn outer(order: LayeringOrder) -> GarmentKind {
+    match order {
+        LayeringOrder::Over => GarmentKind::Upper,
+        LayeringOrder::Tucked => GarmentKind::Lower,
     }
 }
 

@@ -52,3 +52,25 @@ fn dependencies_point_one_way() {
         }
     }
 }
+
+/// Lines of `cargo tree`: each package with its features.
+fn features(arguments: &[&str]) -> BTreeSet<String> {
+    let output = std::process::Command::new(env!("CARGO"))
+        .args(["tree", "--offline", "--prefix", "none", "--format", "{p} {f}"])
+        .args(arguments)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("cargo tree runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8_lossy(&output.stdout);
+    text.lines().map(|line| line.trim_end_matches(" (*)").to_string()).collect()
+}
+
+/// A library that tests ask for more features of than the program does is built twice, and all that stand on it.
+#[test]
+fn the_program_and_its_tests_are_one_build() {
+    let program = features(&["--package", "caphy", "--edges", "normal,build"]);
+    let tests = features(&["--workspace", "--edges", "normal,build,dev"]);
+    let twice: Vec<&String> = program.difference(&tests).collect();
+    assert!(twice.is_empty(), "ask for the tests' features in the root's [dependencies], too: {twice:?}");
+}

@@ -3,7 +3,7 @@
 use crate::garment::FittedGarment;
 use crate::inference::{Play, play};
 use crate::physics::solver_forces;
-use crate::scene::{Scene, label_of, scan_frames};
+use crate::scene::{Scene, label_of, outer, scan_frames};
 use crate::simulate::joined;
 use crate::stage::preprocess::{Subject, SubjectScan};
 use crate::stage::scans::read_framed;
@@ -14,7 +14,6 @@ use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialModel;
 use caphy_core::pose::Pose;
 use caphy_core::{Error, Result, Vec3, mesh};
-use caphy_garment::energy::LayeringOrder;
 use caphy_garment::estimate::equilibrium::held_shapes;
 use caphy_garment::estimate::{Capture, Problem, ScanPoints, Surroundings};
 use caphy_garment::solver::{Solver, SolverSettings};
@@ -149,11 +148,9 @@ impl<'a> Wardrobe<'a> {
 
     /// The garment that lies under another, where there are two.
     fn under(&self, kind: GarmentKind) -> Option<usize> {
-        let outer = match self.context.config.finetune.layering.order {
-            LayeringOrder::Over => GarmentKind::Upper,
-            LayeringOrder::Tucked => GarmentKind::Lower,
-        };
-        (kind == outer).then(|| self.subject.garments.iter().position(|g| g.kind != kind)).flatten()
+        (kind == outer(self.context.config.finetune.layering.order))
+            .then(|| self.subject.garments.iter().position(|g| g.kind != kind))
+            .flatten()
     }
 
     /// What a scan shows of a garment.

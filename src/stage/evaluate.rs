@@ -1,7 +1,7 @@
 //! What came out: Chamfer distances on held-out scans, penetrations, energies, and errors to the truth where there is one.
 
 use super::optimise::Estimates;
-use super::preprocess::{Subject, SubjectScan};
+use super::preprocess::{Subject, SubjectScan, TemplateChoice};
 use super::scans::read_framed;
 use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
@@ -20,11 +20,12 @@ use caphy_core::files::Files;
 use caphy_core::lanes::Frames;
 use caphy_core::pose::{Pose, SMPLX_JOINTS};
 use caphy_core::query::NearestGrid;
+use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3, mesh};
 use caphy_formats::npz::Npz;
 use caphy_garment::estimate::reduction;
 use caphy_garment::solver::SolverSettings;
-use caphy_garment::template::GarmentKind;
+use caphy_garment::template::{GarmentKind, MeasureErrors};
 use caphy_render::Layer;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -43,6 +44,8 @@ pub struct Scores {
     pub layering: Option<[f64; 2]>,
     /// Fabric against the truth, per garment, where it is known.
     pub fabrics: Vec<FabricScore>,
+    /// Templates against the true garments' patterns, where they are known.
+    pub templates: Vec<TemplateScore>,
     /// Pictures, relative to the run directory.
     pub pictures: Vec<PathBuf>,
 }
@@ -64,8 +67,21 @@ pub struct ScanScore {
     pub garments: Vec<GarmentScore>,
     /// Median and largest distance of fitted to true joints [mm].
     pub joint_error_mm: Option<[f64; 2]>,
+    /// The naked body against the true one.
+    pub body_error: Option<BodyError>,
     /// Share of vertices whose fused label is the stored one.
     pub label_agreement: Option<f64>,
+}
+
+/// Distances of the fitted body's vertices from the true ones, in one scan's pose [mm].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct BodyError {
+    /// Median and 95th percentile where the scan shows skin.
+    pub skin_mm: [f64; 2],
+    /// The same under clothes.
+    pub covered_mm: [f64; 2],
+    /// Mean along the true normal on skin and under clothes: above 0 the fitted body is the fatter one.
+    pub outward_mm: [f64; 2],
 }
 
 /// One garment in one scan's pose.
@@ -95,6 +111,15 @@ pub struct GarmentScore {
     pub nearest_scan_deg: Option<f64>,
     /// From the nearest pose of the training motion [°].
     pub nearest_motion_deg: Option<f64>,
+}
+
+/// A template against the true garment's.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct TemplateScore {
+    /// Upper or lower.
+    pub kind: GarmentKind,
+    /// Template less truth.
+    pub errors: MeasureErrors,
 }
 
 /// Fabric before and after estimation against the truth.
@@ -227,6 +252,13 @@ impl Scores {
                 let _ =
                     writeln!(out, "{}: joints {median:.1} mm from the truth (median), {most:.1} mm at most", scan.name);
             }
+            if let Some(b) = scan.body_error {
+                let _ = writeln!(
+                    out,
+                    "{}: body {:.1} mm from the truth on skin (95 %: {:.1}), {:.1} mm under clothes (95 %: {:.1}), where it is {:+.1} mm fatter",
+                    scan.name, b.skin_mm[0], b.skin_mm[1], b.covered_mm[0], b.covered_mm[1], b.outward_mm[1]
+                );
+            }
             if let Some(share) = scan.label_agreement {
                 let _ = writeln!(out, "{}: {:.2} % of labels as stored with the scan", scan.name, 100.0 * share);
             }
@@ -238,6 +270,14 @@ impl Scores {
                 100.0 * before,
                 100.0 * after
             );
+        }
+        for template in &self.templates {
+            let area = 100.0 * template.errors.area;
+            let _ = write!(out, "{} template against the truth: area {area:+.1} %", template.kind);
+            for (name, error) in &template.errors.lengths_m {
+                let _ = write!(out, ", {name} {:+.0} mm", 1e3 * error);
+            }
+            out.push('\n');
         }
         for fabric in &self.fabrics {
             for (group, before, after) in &fabric.groups {
@@ -275,6 +315,7 @@ pub fn run(
                 held_out: scan.held_out,
                 garments: Vec::new(),
                 joint_error_mm: truth.map(|t| joint_error(&fitted.joints, &t)),
+                body_error: body_error(&scene, scans, scan, &fitted.vertices)?,
                 label_agreement: scan.label_agreement,
             })
         })
@@ -311,7 +352,11 @@ pub fn run(
             for (k, fitted) in subject.garments.iter().enumerate() {
                 let compared = ScanGarment::new(&scan.name, fitted.kind, &surface, &scan.points)?;
                 let fit = |figure: &Dressed<'_>| compared.compare(figure, k, &visible[k], &filters[k]);
-                let truth = scans.truth.as_ref().map(|t| true_fit(&scene, t, i, scan, &compared));
+                let truth = scans
+                    .truth
+                    .as_ref()
+                    .zip(true_index(scans, &scan.name))
+                    .map(|(t, index)| true_fit(&scene, t, index, scan, &compared));
                 let garment = &avatar_figure.garments[k];
                 scores.push(GarmentScore {
                     net: fit(&avatar_figure)?,
@@ -358,7 +403,8 @@ pub fn run(
     }
     let pictures = draw(context, subject, &scene, scans, &worn)?;
     let layering = layering(context, subject, &scene, &motion, nets, avatar)?;
-    Ok(Scores { scans: rows, layering, fabrics: fabric_scores(context, fabrics, scans)?, pictures })
+    let fabrics = fabric_scores(context, fabrics, scans)?;
+    Ok(Scores { scans: rows, layering, fabrics, templates: template_scores(subject, scans), pictures })
 }
 
 impl GarmentScore {
@@ -392,6 +438,43 @@ fn posed_body(scene: &Scene, pose: &Pose) -> Result<TriMesh> {
     Ok(TriMesh { vertices: posed.vertices, faces: scene.rest.faces.clone() })
 }
 
+/// Place of a scan in the truth.
+fn true_index(scans: &Scans, name: &str) -> Option<usize> {
+    scans.list.iter().position(|file| file.name == name)
+}
+
+/// The true body in a scan's pose [m].
+fn true_body(scene: &Scene, truth: &Truth, index: usize) -> Result<Vec<Vec3>> {
+    let mut person = scene.body.rest(&truth.shape);
+    person.displacement.clone_from(&truth.displacement);
+    Ok(scene.body.forward(&person.posed(&truth.poses[index]))?.vertices)
+}
+
+/// The fitted body's vertices [m] against the true ones, where those are known.
+fn body_error(scene: &Scene, scans: &Scans, scan: &SubjectScan, fitted: &[Vec3]) -> Result<Option<BodyError>> {
+    let (Some(truth), Some(index)) = (&scans.truth, true_index(scans, &scan.name)) else { return Ok(None) };
+    let real = true_body(scene, truth, index)?;
+    let normals = mesh::vertex_normals(&real, &scene.rest.faces);
+    let points = NearestGrid::from_points(&scan.points.points);
+    let (mut errors, mut outward) = ([Vec::new(), Vec::new()], [0.0; 2]);
+    for (v, p) in real.iter().enumerate() {
+        let Some((near, _)) = points.nearest_point(p) else { continue };
+        let covered = match scan.points.labels[near as usize] {
+            Label::Body => 0,
+            Label::Upper | Label::Lower => 1,
+            Label::Ignore => continue,
+        };
+        errors[covered].push(1e3 * (fitted[v] - p).norm());
+        outward[covered] += 1e3 * (fitted[v] - p).dot(&normals[v]);
+    }
+    let counts = errors.each_ref().map(|e| e.len().max(1) as f64);
+    let [skin_mm, covered_mm] = errors.map(|mut e| {
+        e.sort_by(f64::total_cmp);
+        [0.5, 0.95].map(|q| e.get((q * e.len().saturating_sub(1) as f64).round() as usize).copied().unwrap_or(0.0))
+    });
+    Ok(Some(BodyError { skin_mm, covered_mm, outward_mm: [outward[0] / counts[0], outward[1] / counts[1]] }))
+}
+
 /// The true garment against the scan of it.
 fn true_fit(
     scene: &Scene,
@@ -401,10 +484,7 @@ fn true_fit(
     compared: &ScanGarment,
 ) -> Result<Option<Fit>> {
     let Some(own) = truth.garments.iter().position(|g| g.kind == compared.kind()) else { return Ok(None) };
-    let mut person = scene.body.rest(&truth.shape);
-    person.displacement.clone_from(&truth.displacement);
-    let posed = scene.body.forward(&person.posed(&truth.poses[scan]))?;
-    let body = TriMesh { vertices: posed.vertices, faces: scene.rest.faces.clone() };
+    let body = of_mesh(&true_body(scene, truth, scan)?, &scene.rest);
     let garments = truth.garments.iter().map(|g| of_mesh(&g.at_rest[scan], &g.template)).collect();
     let figure = Dressed { body: &body, garments };
     let visible = shown(&figure.garments[own].vertices, compared.kind(), &points.points);
@@ -508,7 +588,8 @@ fn elastic(physics: &Physics<f64>, shape: &[Vec3]) -> Result<f64> {
 /// True joints of each scan, NaN where one is not known.
 fn true_joints(context: &Context<'_>, subject: &Subject, scans: &Scans) -> Result<Vec<Option<Vec<Vec3>>>> {
     if let Some(truth) = &scans.truth {
-        return Ok(truth.joints.iter().cloned().map(Some).collect());
+        let of = |scan: &SubjectScan| true_index(scans, &scan.name).map(|i| truth.joints[i].clone());
+        return Ok(subject.scans.iter().map(of).collect());
     }
     let Some(path) = &context.config.evaluate.ground_truth else {
         return Ok(vec![None; subject.scans.len()]);
@@ -572,6 +653,16 @@ fn layering(
         Ok(count as f64 / all.max(1) as f64)
     };
     Ok(Some([inside(nets)?, inside(avatar)?]))
+}
+
+/// Templates against the true garments', where they are known.
+fn template_scores(subject: &Subject, scans: &Scans) -> Vec<TemplateScore> {
+    let Some(truth) = &scans.truth else { return Vec::new() };
+    let of = |choice: &TemplateChoice| {
+        let own = truth.garments.iter().find(|g| g.kind == choice.kind)?;
+        Some(TemplateScore { kind: choice.kind, errors: choice.measures.against(&own.measures) })
+    };
+    subject.choices.iter().filter_map(of).collect()
 }
 
 /// Median ratio to the truth per group of parameters, at the start and after the last estimate, where the truth is of the

@@ -1,31 +1,33 @@
 //! From scans to labels, a naked body under the clothes, and garment templates (Sec. 3.1).
 
+mod templates;
+
+pub use templates::TemplateChoice;
+
 use super::scans::{ScanFrame, hash_scan, read_framed, read_scan_of, start_poses};
 use super::{Context, ScanFile, Scans, StageOutput};
 use crate::artifact;
-use crate::config::{GarmentConfig, ScansConfig, SubjectConfig};
+use crate::config::{ScansConfig, SubjectConfig};
 use crate::fixed_shape::FixedShape;
 use crate::garment::FittedGarment;
 use crate::pictures;
 use crate::runner::input_hashes;
-use crate::scene::{label_of, thin};
+use crate::scene::label_of;
 use caphy_bodymodel::registration::{
     RegistrationScan, RegistrationSettings, ScanFit, ScanStart, find_starts, register, register_from,
 };
-use caphy_core::body::{BodyModel, BodyParameters, PosedBody};
+use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_core::pose::Pose;
 use caphy_core::query::NearestGrid;
-use caphy_core::scan::{Label, LabelledPoints};
+use caphy_core::scan::LabelledPoints;
 use caphy_core::segmenter::Segmenter;
 use caphy_core::{Error, Result, TriMesh, Vec3};
-use caphy_garment::template::{
-    BodyRest, ChooseOptions, GarmentKind, Tailor, Template, choose_template, pose_by_nearest_vertex, refine, templates,
-};
 use caphy_render::Layer;
 use caphy_segmentation::fusion::{FusionReport, FusionSettings, label_scan};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A subject after preprocessing.
@@ -87,40 +89,12 @@ pub struct SubjectScan {
     pub strange_share: f64,
 }
 
-/// How a template was chosen.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-pub struct TemplateChoice {
-    /// Upper or lower.
-    pub kind: GarmentKind,
-    /// The scan it was compared with.
-    pub scan: String,
-    /// Number of styles tried.
-    pub styles: usize,
-    /// Mean squared Chamfer distance of the best sample, both directions summed [mm²].
-    pub best_sample_mm2: f64,
-    /// The same of the median sample [mm²].
-    pub median_sample_mm2: f64,
-    /// The same after the style was refined [mm²].
-    pub refined_mm2: f64,
-    /// Rest area [m²].
-    pub area_m2: f64,
-    /// Girths of the boundary loops [m].
-    pub girths_m: Vec<(String, f64)>,
-}
-
 impl Subject {
     /// Scans that may be learned from.
     pub fn training_scans(&self) -> impl Iterator<Item = &SubjectScan> {
         self.scans.iter().filter(|s| !s.held_out)
     }
 }
-
-/// Edge length of the templates that styles are compared with [m]: style does not show in detail.
-const CANDIDATE_RESOLUTION: f64 = 0.035;
-/// Scan points per garment that styles are compared with.
-const CANDIDATE_POINTS: usize = 3000;
-/// Templates generated while the best sample is refined.
-const REFINEMENTS: usize = 24;
 
 /// Labels, fits, chooses.
 ///
@@ -130,7 +104,7 @@ const REFINEMENTS: usize = 24;
 pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     let config = context.config;
     let progress = context.progress;
-    let body = config.body.body(context.files)?;
+    let body: Arc<dyn BodyModel> = Arc::from(config.body.body(context.files)?);
     let table = config
         .segmenter
         .as_ref()
@@ -211,19 +185,9 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     }
 
     progress.set(0.8, "garment templates");
-    let rest = BodyRest::from_model(&*body, &subject_body)?;
-    let rest_vertices = rest.mesh.vertices.clone();
-    let tailor = Tailor::new(rest)?;
-    for (k, (kind, _, settings)) in config.garments().enumerate() {
-        progress.set(0.8 + 0.07 * k as f64, &format!("{kind} template"));
-        let (template, choice) = choose(context, &*body, &subject_body, &subject, &tailor, (kind, settings))?;
-        let options = &settings.weights;
-        let weights = &body.describe().weights;
-        subject.choices.push(choice);
-        subject
-            .garments
-            .push(FittedGarment::new(template, &rest_vertices, weights, options)?.weighing(settings.mass_g));
-    }
+    let choosing = templates::Choosing::new(context, body.clone(), &subject, scans)?;
+    let (garments, choices) = choosing.all()?;
+    (subject.garments, subject.choices) = (garments, choices);
     progress.set(0.95, "pictures");
     subject.pictures = draw(context, &*body, &subject_body, &subject, scans)?;
     Ok(subject)
@@ -397,64 +361,6 @@ fn strange_share(body: &dyn BodyModel, subject: &BodyParameters, pose: &Pose, po
     let grid = NearestGrid::from_points(&body.forward(&subject.posed(pose))?.vertices);
     let far = |p: &&Vec3| grid.nearest_within(&[p.x, p.y, p.z], STRANGE * STRANGE).is_none();
     Ok(points.points.iter().filter(far).count() as f64 / points.points.len().max(1) as f64)
-}
-
-/// The template of one garment: the best of the sampled styles, refined.
-fn choose(
-    context: &Context<'_>,
-    body: &dyn BodyModel,
-    subject_body: &BodyParameters,
-    subject: &Subject,
-    tailor: &Tailor,
-    (kind, settings): (GarmentKind, &GarmentConfig),
-) -> Result<(Template, TemplateChoice)> {
-    let joints = &body.describe().joints;
-    let standard = subject
-        .training_scans()
-        .min_by(|a, b| {
-            let distance = |s: &SubjectScan| pictures::distance_to_standard(&s.pose, joints);
-            distance(a).total_cmp(&distance(b))
-        })
-        .ok_or_else(|| Error::config("subject", "no training scan", "hold out fewer scans"))?;
-    let posed: PosedBody = body.forward(&subject_body.posed(&standard.pose))?;
-    let weights = &body.describe().weights;
-    let pose = |t: &Template| pose_by_nearest_vertex(t, weights, &posed.transforms);
-    let (points, _) = standard.points.with_label(label_of(kind));
-    if points.is_empty() {
-        return Err(Error::mesh(
-            &standard.name,
-            "labels",
-            format!("no point belongs to the {kind} garment"),
-            "check the segmenter and the labels of the scan",
-        ));
-    }
-    let points = thin(&points, CANDIDATE_POINTS);
-    let cover = match kind {
-        GarmentKind::Upper => Vec::new(),
-        GarmentKind::Lower => thin(&standard.points.with_label(Label::Upper).0, CANDIDATE_POINTS),
-    };
-    let options = ChooseOptions { covered_by: &cover };
-    let source = settings.template.template(context.files)?;
-    let styles = source.styles(tailor, kind, settings.styles, context.config.run.seed)?;
-    let candidates = templates(&*source, tailor, &styles, CANDIDATE_RESOLUTION)?;
-    let shapes = candidates.iter().map(pose).collect::<Result<Vec<_>>>()?;
-    let choice = choose_template(&shapes, &points, &options)?;
-    let best = &candidates[choice.index];
-    let refined = refine(&*source, tailor, &best.style, CANDIDATE_RESOLUTION, &points, &options, REFINEMENTS, pose)?;
-    let template = source.template(tailor, &refined.style, settings.resolution_m)?;
-    let mut all: Vec<f64> = choice.report.iter().map(|c| c.squared * 1e6).collect();
-    all.sort_by(f64::total_cmp);
-    let report = TemplateChoice {
-        kind,
-        scan: standard.name.clone(),
-        styles: styles.len(),
-        best_sample_mm2: all[0],
-        median_sample_mm2: all[all.len() / 2],
-        refined_mm2: refined.chamfer.squared * 1e6,
-        area_m2: template.area(),
-        girths_m: template.girths(),
-    };
-    Ok((template, report))
 }
 
 /// Scan, labels, body and overlay of each scan (as the paper's Fig. 3), and the templates.

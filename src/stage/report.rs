@@ -223,7 +223,8 @@ fn fits(html: &mut String, inputs: &Inputs<'_>) {
 
 fn choices(html: &mut String, inputs: &Inputs<'_>) {
     let rows = inputs.subject.choices.iter().zip(&inputs.subject.garments).map(|(c, g)| {
-        let girths: Vec<String> = c.girths_m.iter().map(|(name, m)| format!("{name} {:.0} cm", 100.0 * m)).collect();
+        let girths: Vec<String> =
+            c.measures.girths_m.iter().map(|(name, m)| format!("{name} {:.0} cm", 100.0 * m)).collect();
         vec![
             c.kind.to_string(),
             c.scan.clone(),
@@ -231,13 +232,24 @@ fn choices(html: &mut String, inputs: &Inputs<'_>) {
             format!("{:.0}", c.median_sample_mm2),
             format!("{:.0}", c.best_sample_mm2),
             format!("{:.0}", c.refined_mm2),
+            format!("{:.1}", c.edges_off_mm),
             g.style.values().iter().map(|v| number(*v)).collect::<Vec<_>>().join(", "),
-            format!("{:.3}", c.area_m2),
+            format!("{:.3}", c.measures.area_m2),
             girths.join(", "),
         ]
     });
-    let head =
-        ["garment", "compared with", "styles", "median Chamfer, mm²", "best", "refined", "style", "area, m²", "girths"];
+    let head = [
+        "garment",
+        "compared with",
+        "styles",
+        "median Chamfer, mm²",
+        "best worn",
+        "refined",
+        "edges off, mm",
+        "style",
+        "area, m²",
+        "girths",
+    ];
     table(html, &head, rows);
 }
 

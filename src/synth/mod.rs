@@ -12,7 +12,7 @@ use caphy_core::pose::Pose;
 use caphy_core::scan::Label;
 use caphy_core::{TriMesh, Vec3};
 use caphy_garment::solver::SolveReport;
-use caphy_garment::template::{GarmentKind, Style};
+use caphy_garment::template::{GarmentKind, GarmentMeasures, Style};
 use serde::{Deserialize, Serialize};
 
 /// What is known about a synthetic subject. Only evaluation and report look at it.
@@ -41,10 +41,8 @@ pub struct TrueGarment {
     pub style: Style,
     /// Its template on the T-posed body [m].
     pub template: TriMesh,
-    /// Rest area [m²].
-    pub area_m2: f64,
-    /// Girths of the template's boundary loops [m].
-    pub girths_m: Vec<(String, f64)>,
+    /// The template's measures.
+    pub measures: GarmentMeasures,
     /// Factors of girth and length of the rest shape that it hangs by, against the template.
     pub rest_scale: [f64; 2],
     /// Native parameters of its fabric.

@@ -7,14 +7,14 @@ use caphy_formats::obj::read_obj;
 use caphy_formats::ply::{read_ply, write_ply};
 use criterion::measurement::{Measurement, ValueFormatter, WallTime};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use npyz::WriterBuilder;
-use npyz::npz::NpzWriter;
 use ply_rs_bw::parser::Parser;
 use ply_rs_bw::ply::DefaultElement;
 use std::fmt::Write;
 use std::hint::black_box;
-use std::io::Cursor;
 use std::path::Path;
+
+#[path = "../tests/support/mod.rs"]
+mod support;
 
 /// Time [ns] that this thread had a processor, so that a machine which others use gives the same figures; the readers use
 /// one thread and wait for nothing. Known to a scheduler's tick (1 to 4 ms), which many iterations average out.
@@ -165,37 +165,15 @@ fn ply(c: &mut Criterion<ThreadTime>) {
 fn npz(c: &mut Criterion<ThreadTime>) {
     let scan = sheet();
     let mut group = c.benchmark_group("npz");
-    for (name, method) in
-        [("stored", npyz::zip::CompressionMethod::Stored), ("deflated", npyz::zip::CompressionMethod::Deflated)]
-    {
-        let mut bytes = Cursor::new(Vec::new());
-        {
-            let mut writer = NpzWriter::new(&mut bytes);
-            let options = npyz::zip::write::FileOptions::default().compression_method(method);
-            let vertices: Vec<f64> = scan.mesh.vertices.iter().flat_map(|v| [v.x, v.y, v.z]).collect();
-            let shape = [vertices.len() as u64 / 3, 3];
-            writer
-                .array("vertices", options)
-                .unwrap()
-                .default_dtype()
-                .shape(&shape)
-                .begin_nd()
-                .unwrap()
-                .extend(vertices)
-                .unwrap();
-            let faces: Vec<i64> = scan.mesh.faces.iter().flatten().map(|&id| i64::from(id)).collect();
-            let shape = [faces.len() as u64 / 3, 3];
-            writer
-                .array("faces", options)
-                .unwrap()
-                .default_dtype()
-                .shape(&shape)
-                .begin_nd()
-                .unwrap()
-                .extend(faces)
-                .unwrap();
-        }
-        let bytes = bytes.into_inner();
+    let vertices = scan.mesh.vertices.iter().flat_map(|v| [v.x, v.y, v.z]);
+    let faces = scan.mesh.faces.iter().flatten().map(|&id| i64::from(id));
+    let shape = |rows: usize| [rows as u64, 3];
+    let arrays = [
+        ("vertices", support::array(&shape(scan.mesh.vertices.len()), vertices)),
+        ("faces", support::array(&shape(scan.mesh.faces.len()), faces)),
+    ];
+    for (name, deflated) in [("stored", false), ("deflated", true)] {
+        let bytes = support::archive(&arrays, deflated);
         group.throughput(Throughput::Bytes(bytes.len() as u64));
         group.bench_function(name, |b| {
             b.iter(|| {

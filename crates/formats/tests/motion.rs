@@ -9,9 +9,6 @@ use caphy_formats::motion::{
     SkeletonMapping, SmplNpzOptions, TranslationMeaning, UpAxis, read_asf_amc, read_bvh, read_smpl_npz,
 };
 use nalgebra::UnitQuaternion;
-use npyz::WriterBuilder;
-use npyz::npz::NpzWriter;
-use std::io::Cursor;
 use std::path::Path;
 
 const PELVIS: Vec3 = Vec3::new(0.01, -0.35, 0.02);
@@ -90,21 +87,9 @@ fn smplx_clips_are_read() {
 type Entry = (&'static str, Vec<u64>, Vec<f64>);
 
 fn archive(entries: Vec<Entry>) -> Vec<u8> {
-    let mut bytes = Cursor::new(Vec::new());
-    {
-        let mut w = NpzWriter::new(&mut bytes);
-        for (name, shape, values) in entries {
-            w.array(name, Default::default())
-                .unwrap()
-                .default_dtype()
-                .shape(&shape)
-                .begin_nd()
-                .unwrap()
-                .extend(values)
-                .unwrap();
-        }
-    }
-    bytes.into_inner()
+    let arrays: Vec<(&str, Vec<u8>)> =
+        entries.into_iter().map(|(name, shape, values)| (name, support::array(&shape, values))).collect();
+    support::archive(&arrays, false)
 }
 
 /// Recorded people are sound but for the glitches of their markers.

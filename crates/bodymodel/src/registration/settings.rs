@@ -15,7 +15,7 @@ pub struct RegistrationSettings {
     pub start_trials: usize,
     /// Headings that the search starts from, evenly around the vertical (default 4; 1 when all scans face +z).
     pub start_headings: usize,
-    /// Points of the scan, and vertices of the body, that carry residuals (default 1500: 3.5 cm apart on an adult).
+    /// Points of the scan, and vertices of the body, that carry residuals (default 3000: 2.5 cm apart on an adult).
     pub sample_vertices: usize,
     /// Shape coefficients that are fitted; fewer when the body has fewer (default 10).
     pub shape_coefficients: usize,
@@ -30,11 +30,12 @@ pub struct RegistrationSettings {
     /// Depth of the skin under cloth that is expected when nothing else is known [m] (default 8 mm: cloth and its
     /// ease).
     pub cloth_ease: f64,
-    /// Standard deviation of that expectation [m] (default 15 mm).
+    /// Standard deviation of that expectation [m] (default 0.1: hardly more than nothing). Cloth stands off where it hangs and lies on
+    /// where it rests: expected everywhere alike, it pulls hips and thighs after the folds by centimetres.
     pub cloth_ease_sigma: f64,
     /// Depth of the skin under cloth beyond which it is pulled out [m] (default 30 mm: loose everyday clothes).
     pub cloth_depth_max: f64,
-    /// Standard deviation of skin deeper than that [m] (default 20 mm: folds and hems do lie deeper).
+    /// Standard deviation of skin deeper than that [m] (default 60 mm: folds and hems do lie deeper).
     pub cloth_deep_sigma: f64,
     /// Robust scale (Geman-McClure) of the first iteration [m] (default 0.15: a limb's width away still pulls).
     pub robust_start: f64,
@@ -59,15 +60,15 @@ impl Default for RegistrationSettings {
             start_iterations: 10,
             start_trials: 3,
             start_headings: 4,
-            sample_vertices: 1500,
+            sample_vertices: 3000,
             shape_coefficients: 10,
             evidence: 150.0,
             skin_sigma: 0.004,
             outside_sigma: 0.004,
             cloth_ease: 0.008,
-            cloth_ease_sigma: 0.015,
+            cloth_ease_sigma: 0.1,
             cloth_depth_max: 0.03,
-            cloth_deep_sigma: 0.02,
+            cloth_deep_sigma: 0.06,
             robust_start: 0.15,
             robust_end: 0.03,
             normal_angle_max: 1.2,

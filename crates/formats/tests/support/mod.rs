@@ -3,10 +3,11 @@
 // Each test binary uses its part.
 #![allow(dead_code)]
 
-use npyz::zip::write::FileOptions;
-use npyz::zip::{CompressionMethod, ZipWriter};
+use npyz::{AutoSerialize, WriteOptions, WriterBuilder};
 use std::io::{Cursor, Write};
 use std::path::PathBuf;
+use zip::write::FileOptions;
+use zip::{CompressionMethod, ZipWriter};
 
 /// A file of the shared folder, or `None` with a loud line.
 pub(crate) fn shared(name: &str) -> Option<Vec<u8>> {
@@ -32,6 +33,15 @@ pub(crate) fn archive(entries: &[(&str, Vec<u8>)], deflated: bool) -> Vec<u8> {
         writer.write_all(content).unwrap();
     }
     writer.finish().unwrap().into_inner()
+}
+
+/// An array in numpy's text, by an independent writer.
+pub(crate) fn array<T: AutoSerialize>(shape: &[u64], values: impl IntoIterator<Item = T>) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut writer = WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
+    writer.extend(values).unwrap();
+    writer.finish().unwrap();
+    bytes
 }
 
 /// A `.npy` text.

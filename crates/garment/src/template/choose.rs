@@ -1,7 +1,6 @@
-//! Which template a scan wears: the smallest Chamfer distance among candidates (Sec. 3.1), and a local refinement.
+//! Which template a scan wears: the smallest Chamfer distance among candidates (Sec. 3.1).
 
-use super::source::{TemplateParametric, TemplateSource};
-use super::{Style, Tailor, Template};
+use super::Template;
 use caphy_core::body::BlendWeights;
 use caphy_core::query::NearestGrid;
 use caphy_core::{Error, Result, Vec3};
@@ -112,86 +111,6 @@ pub fn choose_template(candidates: &[Vec<Vec3>], scan_points: &[Vec3], options: 
         Some(index) => Ok(Choice { index, report }),
         None => Err(Error::numerics("choice of a garment template", "no candidates", "sample at least one style")),
     }
-}
-
-/// Outcome of [`refine_style`].
-#[derive(Debug, Clone, PartialEq)]
-pub struct Refinement {
-    /// The best style found.
-    pub style: Style,
-    /// The template of that style.
-    pub template: Template,
-    /// Its Chamfer distance.
-    pub chamfer: Chamfer,
-    /// Templates generated on the way.
-    pub evaluations: usize,
-}
-
-/// [`refine`] in the parametric style space.
-///
-/// # Errors
-/// As there.
-pub fn refine_style(
-    tailor: &Tailor,
-    start: &Style,
-    resolution_m: f64,
-    scan_points: &[Vec3],
-    options: &ChooseOptions<'_>,
-    evaluations: usize,
-    pose: impl Fn(&Template) -> Result<Vec<Vec3>> + Sync,
-) -> Result<Refinement> {
-    refine(&TemplateParametric {}, tailor, start, resolution_m, scan_points, options, evaluations, pose)
-}
-
-/// Improves a style around the best sample by pattern search: a step up and down each axis of the source's space, halved when
-/// nothing is better, at most `evaluations` templates. `pose` takes a template to the scan's pose. A source without anything
-/// between its garments gives the start back.
-///
-/// # Errors
-/// Those of [`TemplateSource::template`] for the start (styles on the way that fail are passed over), of `pose`, and of
-/// [`choose_template`].
-pub fn refine(
-    source: &dyn TemplateSource,
-    tailor: &Tailor,
-    start: &Style,
-    resolution_m: f64,
-    scan_points: &[Vec3],
-    options: &ChooseOptions<'_>,
-    evaluations: usize,
-    pose: impl Fn(&Template) -> Result<Vec<Vec3>> + Sync,
-) -> Result<Refinement> {
-    let scan = Scan::new(scan_points, options)?;
-    let measure = |style: &Style| -> Result<(Template, Chamfer)> {
-        let template = source.template(tailor, style, resolution_m)?;
-        let chamfer = scan.chamfer(&pose(&template)?)?;
-        Ok((template, chamfer))
-    };
-    let (template, chamfer) = measure(start)?;
-    let mut best = Refinement { style: start.clone(), template, chamfer, evaluations: 1 };
-    let mut step = 0.12;
-    while best.evaluations < evaluations && step > 0.01 {
-        let mut tries = source.neighbours(&best.style, step);
-        if tries.is_empty() {
-            break;
-        }
-        tries.truncate(evaluations - best.evaluations);
-        let measured: Vec<Result<(Template, Chamfer)>> = tries.par_iter().map(measure).collect();
-        best.evaluations += tries.len();
-        let before = best.chamfer.squared;
-        for (style, outcome) in tries.into_iter().zip(measured) {
-            match outcome {
-                Ok((template, chamfer)) if chamfer.squared < best.chamfer.squared => {
-                    best = Refinement { style, template, chamfer, evaluations: best.evaluations };
-                }
-                Ok(_) | Err(Error::Numerics { .. } | Error::Mesh { .. }) => {}
-                Err(other) => return Err(other),
-            }
-        }
-        if best.chamfer.squared >= before {
-            step *= 0.5;
-        }
-    }
-    Ok(best)
 }
 
 fn transform(m: &Matrix3x4<f64>, p: &Vec3) -> Vec3 {

@@ -3,7 +3,7 @@
 use super::{GarmentKind, GivenFacts, Style, Template};
 use caphy_core::query::hinges;
 use caphy_core::{TriMesh, Vec3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BinaryHeap;
 
 /// Values at shares of a sorted row.
@@ -52,6 +52,49 @@ pub struct LengthFacts {
     pub to: String,
     /// Length [m], along edges and across pairs of triangles: some percent longer than the true one at most.
     pub length_m: f64,
+}
+
+/// What a tailor would measure of a garment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct GarmentMeasures {
+    /// Area [m²].
+    pub area_m2: f64,
+    /// Length of each boundary loop [m].
+    pub girths_m: Vec<(String, f64)>,
+    /// Shortest way on the garment from one loop to another [m], named `neck to hem`.
+    pub lengths_m: Vec<(String, f64)>,
+}
+
+/// How one garment's measures differ from another's.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MeasureErrors {
+    /// Differences of area, as a share [1].
+    pub area: f64,
+    /// Differences of girths and lengths that both have [m].
+    pub lengths_m: Vec<(String, f64)>,
+}
+
+impl GarmentMeasures {
+    /// These less the true ones.
+    pub fn against(&self, truth: &Self) -> MeasureErrors {
+        let all = |m: &Self| m.girths_m.iter().chain(&m.lengths_m).cloned().collect::<Vec<_>>();
+        let theirs = all(truth);
+        let lengths_m = all(self)
+            .into_iter()
+            .filter_map(|(name, value)| {
+                let other = theirs.iter().find(|t| t.0 == name)?.1;
+                Some((name, value - other))
+            })
+            .collect();
+        MeasureErrors { area: self.area_m2 / truth.area_m2 - 1.0, lengths_m }
+    }
+}
+
+impl MeasureErrors {
+    /// The largest difference of a length or girth, by its size [m]; 0 without any.
+    pub fn largest_m(&self) -> f64 {
+        self.lengths_m.iter().map(|l| l.1.abs()).fold(0.0, f64::max)
+    }
 }
 
 /// What there is to say about a template.
@@ -167,8 +210,16 @@ fn distances(ways: &[Vec<(u32, f64)>], from: &[u32]) -> Vec<f64> {
 }
 
 impl Template {
-    /// Everything worth telling.
-    pub fn facts(&self) -> GarmentFacts {
+    /// Area, girths and lengths.
+    pub fn measures(&self) -> GarmentMeasures {
+        GarmentMeasures {
+            area_m2: self.area(),
+            girths_m: self.girths(),
+            lengths_m: self.lengths().into_iter().map(|l| (format!("{} to {}", l.from, l.to), l.length_m)).collect(),
+        }
+    }
+    /// Ways between loops.
+    fn lengths(&self) -> Vec<LengthFacts> {
         let ways = ways(&self.mesh);
         let mut lengths = Vec::new();
         for (i, from) in self.loops.iter().enumerate() {
@@ -178,6 +229,10 @@ impl Template {
                 lengths.push(LengthFacts { from: from.name.clone(), to: to.name.clone(), length_m });
             }
         }
+        lengths
+    }
+    /// Everything worth telling.
+    pub fn facts(&self) -> GarmentFacts {
         let held: Vec<&str> = self.attachments().map(|l| l.name.as_str()).collect();
         let loops = self
             .loops
@@ -204,7 +259,7 @@ impl Template {
             angle_deg: Quantiles::of(angles(&self.mesh)),
             clearance_m: self.clearance_m,
             loops,
-            lengths,
+            lengths: self.lengths(),
             grain: self.grain.clone(),
             layout_area_ratio: self.material_uv.iter().map(flat).sum::<f64>() / self.area(),
             given: self.given.clone(),
@@ -261,6 +316,14 @@ mod tests {
         assert!((facts.edge_length_m.least - chord).abs() < 1e-12);
         assert!((facts.edge_length_m.largest - chord.hypot(0.05)).abs() < 1e-12);
         assert!((facts.angle_deg.largest - 90.0).abs() < 1e-6);
+        let measures = template.measures();
+        let mut longer = measures.clone();
+        longer.lengths_m[0].1 += 0.01;
+        longer.girths_m[1].1 -= 0.002;
+        longer.girths_m.push(("cuff_left".into(), 0.2));
+        let errors = longer.against(&measures);
+        assert!((errors.largest_m() - 0.01).abs() < 1e-12 && errors.area == 0.0);
+        assert_eq!(errors.lengths_m.iter().map(|l| &l.0[..]).collect::<Vec<_>>(), ["waist", "hem", "waist to hem"]);
         assert!(serde_json::to_string(&facts).unwrap().contains("\"girth_m\""));
     }
 }

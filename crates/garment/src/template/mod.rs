@@ -12,6 +12,7 @@ mod facts;
 mod given;
 mod grain;
 mod loops;
+mod refine;
 mod remesh;
 mod rest;
 mod sections;
@@ -20,12 +21,10 @@ mod source;
 mod style;
 mod surface;
 
-pub use choose::{
-    Chamfer, Choice, ChooseOptions, Refinement, choose_template, pose_by_nearest_vertex, pose_by_weights, refine,
-    refine_style,
-};
-pub use facts::{GarmentFacts, LengthFacts, LoopFacts, Quantiles};
+pub use choose::{Chamfer, Choice, ChooseOptions, choose_template, pose_by_nearest_vertex, pose_by_weights};
+pub use facts::{GarmentFacts, GarmentMeasures, LengthFacts, LoopFacts, MeasureErrors, Quantiles};
 pub use given::{FitOptions, GivenFacts, GivenMesh, LayoutFacts, PenetrationFacts, PenetrationOptions, Repairs};
+pub use refine::{Refinement, Seen, refine};
 pub use rest::BodyRest;
 pub use source::{
     TemplateFolder, TemplateLinear, TemplateMesh, TemplateParametric, TemplateSource, TemplateSpec, read_garment,

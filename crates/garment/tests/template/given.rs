@@ -6,7 +6,7 @@ use caphy_core::query::{NearestGrid, hinges};
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_formats::obj::write_obj;
 use caphy_garment::template::{
-    BodyRest, ChooseOptions, FitOptions, GarmentKind, GivenMesh, Style, Tailor, Template, TemplateSpec,
+    BodyRest, ChooseOptions, FitOptions, GarmentKind, GivenMesh, Seen, Style, Tailor, Template, TemplateSpec,
     choose_template, read_garment, refine, templates,
 };
 use std::collections::BTreeMap;
@@ -354,9 +354,9 @@ fn a_folder_offers_the_garments_of_a_kind_and_a_scan_chooses() {
     let choice = choose_template(&posed, &scan, &ChooseOptions::default()).unwrap();
     assert_eq!(name(&uppers[choice.index]), "short");
     // Nothing lies between garments of a folder: refinement gives the choice back.
-    let options = ChooseOptions::default();
     let vertices = |t: &Template| Ok(t.mesh.vertices.clone());
-    let refined = refine(&*source, tailor(), &uppers[1], 0.03, &scan, &options, 20, vertices).unwrap();
+    let seen = Seen { points: &scan, edges: &[] };
+    let refined = refine(&*source, tailor(), &uppers[1], 0.03, seen, vertices).unwrap();
     assert_eq!((&refined.style, refined.evaluations), (&uppers[1], 1));
     assert!(source.template(tailor(), &styles[0], 0.03).is_err());
     // The style goes into artifacts and comes back.
@@ -392,23 +392,23 @@ fn one_mesh_is_its_own_choice() {
 struct Entry<'a>(&'a str, Vec<u64>, Vec<f64>);
 
 fn archive(entries: &[Entry<'_>], faces: Option<(Vec<u64>, Vec<i32>)>) -> Vec<u8> {
-    let mut bytes = std::io::Cursor::new(Vec::new());
-    let mut npz = npyz::npz::NpzWriter::new(&mut bytes);
-    let options = || Default::default();
-    for Entry(name, shape, data) in entries {
-        use npyz::WriterBuilder;
-        let mut array = npz.array::<f64>(name, options()).unwrap().default_dtype().shape(shape).begin_nd().unwrap();
-        array.extend(data.iter().copied()).unwrap();
-        array.finish().unwrap();
+    use npyz::WriterBuilder;
+    use std::io::Write;
+    fn array<T: npyz::AutoSerialize>(shape: &[u64], data: impl IntoIterator<Item = T>) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut writer = npyz::WriteOptions::new().default_dtype().shape(shape).writer(&mut bytes).begin_nd().unwrap();
+        writer.extend(data).unwrap();
+        writer.finish().unwrap();
+        bytes
     }
-    if let Some((shape, data)) = faces {
-        use npyz::WriterBuilder;
-        let mut array = npz.array::<i32>("faces", options()).unwrap().default_dtype().shape(&shape).begin_nd().unwrap();
-        array.extend(data).unwrap();
-        array.finish().unwrap();
+    let numbers = entries.iter().map(|Entry(name, shape, data)| (*name, array(shape, data.iter().copied())));
+    let faces = faces.map(|(shape, data)| ("faces", array(&shape, data)));
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, bytes) in numbers.chain(faces) {
+        zip.start_file(format!("{name}.npy"), zip::write::FileOptions::default()).unwrap();
+        zip.write_all(&bytes).unwrap();
     }
-    drop(npz);
-    bytes.into_inner()
+    zip.finish().unwrap().into_inner()
 }
 
 #[test]
@@ -455,10 +455,13 @@ fn a_linear_space_makes_garments_from_coefficients() {
         assert!((p + d * 0.5 - q).norm() < 1e-12);
     }
     // A scan of a wide, long garment is found by refinement.
-    let scan = make(vec![0.8, 0.7]).mesh.subdivided().vertices;
-    let options = ChooseOptions::default();
+    let scanned = make(vec![0.8, 0.7]);
+    let scan = scanned.mesh.subdivided().vertices;
+    let edges: Vec<Vec3> =
+        scanned.loops.iter().flat_map(|l| &l.vertices).map(|&v| scanned.mesh.vertices[v as usize]).collect();
     let vertices = |t: &Template| Ok(t.mesh.vertices.clone());
-    let found = refine(&*source, tailor(), &styles[0], 0.03, &scan, &options, 60, vertices).unwrap();
+    let seen = Seen { points: &scan, edges: &edges };
+    let found = refine(&*source, tailor(), &styles[0], 0.03, seen, vertices).unwrap();
     let c = found.style.values();
     assert!((c[0] - 0.8).abs() < 0.15 && (c[1] - 0.7).abs() < 0.15, "{c:?}");
     assert!(source.template(tailor(), &at(vec![0.0; 3]), 0.03).is_err());

@@ -195,18 +195,12 @@ impl TemplateSource for Linear {
         }
         Ok(template)
     }
-    fn neighbours(&self, style: &Style, step: f64) -> Vec<Style> {
+    fn coordinates(&self, style: &Style) -> Vec<f64> {
         let Style::Given(s) = style else { return Vec::new() };
-        let mut out = Vec::new();
-        for axis in 0..s.coefficients.len() {
-            for sign in [1.0, -1.0] {
-                let mut next = s.coefficients.clone();
-                next[axis] = (next[axis] + sign * step * 2.0 * self.spread).clamp(-self.spread, self.spread);
-                if next[axis] != s.coefficients[axis] {
-                    out.push(self.style(s.garment, next));
-                }
-            }
-        }
-        out
+        s.coefficients.iter().map(|c| 0.5 * (c / self.spread + 1.0)).collect()
+    }
+    fn at(&self, like: &Style, coordinates: &[f64]) -> Result<Style> {
+        let coefficients = coordinates.iter().map(|u| (2.0 * u.clamp(0.0, 1.0) - 1.0) * self.spread);
+        Ok(self.style(like.kind(), coefficients.collect()))
     }
 }

@@ -14,8 +14,8 @@ pub use mesh::{TemplateMesh, read_garment};
 pub use parametric::TemplateParametric;
 
 use super::{GarmentKind, Style, Tailor, Template};
-use caphy_core::Result;
 use caphy_core::files::Files;
+use caphy_core::{Error, Result};
 use rayon::prelude::*;
 
 /// The `template` table of a garment: `{ type = "parametric" }`, `"folder"`, `"mesh"` or `"linear"`.
@@ -45,9 +45,17 @@ pub trait TemplateSource: Send + Sync {
     /// # Errors
     /// [`caphy_core::Error::Unsupported`] for a style of another source; whatever makes the garment unusable.
     fn template(&self, tailor: &Tailor, style: &Style, resolution_m: f64) -> Result<Template>;
-    /// Styles around one, a step (as a share of each axis's range) up and down each axis; none where nothing lies between.
-    fn neighbours(&self, _style: &Style, _step: f64) -> Vec<Style> {
+    /// Where a style lies in its space, in [0, 1] per axis; none where nothing lies between the garments.
+    fn coordinates(&self, _style: &Style) -> Vec<f64> {
         Vec::new()
+    }
+    /// The style at coordinates of the space that `like` lies in; those outside [0, 1] are brought to the nearest bound.
+    ///
+    /// # Errors
+    /// [`Error::Length`] for another number of axes.
+    fn at(&self, like: &Style, coordinates: &[f64]) -> Result<Style> {
+        Error::check_length("coordinates of a garment that has no style space", 0, coordinates.len())?;
+        Ok(like.clone())
     }
 }
 

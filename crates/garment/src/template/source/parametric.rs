@@ -25,21 +25,10 @@ impl TemplateSource for TemplateParametric {
     fn template(&self, tailor: &Tailor, style: &Style, resolution_m: f64) -> Result<Template> {
         tailor.generate(style, resolution_m)
     }
-    fn neighbours(&self, style: &Style, step: f64) -> Vec<Style> {
-        if matches!(style, Style::Given(_)) {
-            return Vec::new();
-        }
-        let unit = style.to_unit();
-        let mut out = Vec::new();
-        for axis in 0..unit.len() {
-            for sign in [1.0, -1.0] {
-                let mut next = unit.clone();
-                next[axis] = (next[axis] + sign * step).clamp(0.0, 1.0);
-                if next[axis] != unit[axis] {
-                    out.extend(Style::from_unit(style.kind(), &next));
-                }
-            }
-        }
-        out
+    fn coordinates(&self, style: &Style) -> Vec<f64> {
+        if matches!(style, Style::Given(_)) { Vec::new() } else { style.to_unit() }
+    }
+    fn at(&self, like: &Style, coordinates: &[f64]) -> Result<Style> {
+        Style::from_unit(like.kind(), coordinates)
     }
 }

@@ -1,0 +1,327 @@
+//! A style brought nearer to a scan, from the best of the samples.
+//!
+//! Squared distances between surfaces hardly feel a length: a sleeve that is too short by d adds the cube of d. What a scan shows
+//! of lengths are its edges, where cloth ends and skin or another garment begins. So the fit has two kinds of measurements: points
+//! of the cloth, by their distance from the garment along its normal, and points of its edges, by how far they lie beyond the
+//! garment's boundary along its surface. Both are signed, so that Gauss-Newton steps with differences over a few garments find the style.
+//! Where a fold lies is chance, in the scan as in each garment that is tried: what counts is the median over a patch as wide as folds.
+//!
+//! Differs from the paper: it takes the sample as it is.
+
+use super::source::TemplateSource;
+use super::{Style, Tailor, Template};
+use crate::estimate::bounded;
+use caphy_core::query::{NearestSurface, boundary_loops, nearest_on_triangle};
+use caphy_core::{Error, Result, Vec3};
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Sides of the cubes that patches of points and of edges are cut by [m]: folds are narrower; a neckline has to have some.
+const PATCH: f64 = 0.1;
+const EDGE_PATCH: f64 = 0.05;
+/// How far a patch of simulated cloth is expected to lie from a scanned one, and an edge [m].
+const SIGMA: f64 = 4e-3;
+/// Distances beyond so many sigmas pull no harder.
+const ROBUST_AT: f64 = 2.0;
+/// Standard deviation of the prior around the middle of the space, in shares of an axis's range: a waist under a shirt is not seen.
+const PRIOR: f64 = 0.3;
+const MIDDLE: f64 = 0.5;
+/// Step of differences, in shares of an axis's range: well above what another triangulation of the same style changes.
+const DIFFERENCE: f64 = 0.2;
+/// A patch that moves by fewer sigmas over that step does not answer to the axis, it has other folds.
+const ANSWERS: f64 = 0.8;
+/// An axis that fewer patches answer to is not seen.
+const WITNESSES: usize = 3;
+/// Most steps, and the share of the sum of squares that one must gain for another to be worth its time.
+const STEPS: usize = 6;
+const WORTH_IT: f64 = 0.02;
+/// Shares of a step that are tried at the same time.
+const SHARES: [f64; 2] = [1.0, 0.4];
+
+/// What a scan shows of a garment.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen<'a> {
+    /// Points of its surface [m].
+    pub points: &'a [Vec3],
+    /// Points where it ends [m]; none where that is not known.
+    pub edges: &'a [Vec3],
+}
+
+/// Outcome of [`refine`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Refinement {
+    /// The best style found.
+    pub style: Style,
+    /// The template of that style.
+    pub template: Template,
+    /// It as it was compared with the scan [m].
+    pub worn: Vec<Vec3>,
+    /// Root mean square distance of the scan's edges from its boundary, along its surface [m]; 0 without edges.
+    pub edges_off_m: f64,
+    /// Templates made on the way.
+    pub evaluations: usize,
+}
+
+/// A style as it is worn, and how the scan differs from it.
+struct Trial {
+    template: Template,
+    worn: Vec<Vec3>,
+    /// Distances over sigma: patches of points, then of edges.
+    residuals: Vec<f64>,
+}
+
+/// Improves a style by Gauss-Newton steps. `wear` takes a template to the scan's pose. A source without anything between its
+/// garments gives the start back.
+///
+/// # Errors
+/// Those of [`TemplateSource::template`] and of `wear` for the start (styles on the way that fail are passed over);
+/// [`Error::Numerics`] without scan points, [`Error::NonFinite`] for bad ones.
+pub fn refine(
+    source: &dyn TemplateSource,
+    tailor: &Tailor,
+    start: &Style,
+    resolution_m: f64,
+    seen: Seen<'_>,
+    wear: impl Fn(&Template) -> Result<Vec<Vec3>> + Sync,
+) -> Result<Refinement> {
+    for (what, list) in [("scan points of a garment", seen.points), ("edges of a scanned garment", seen.edges)] {
+        let flat: Vec<f64> = list.iter().flat_map(|p| p.iter().copied()).collect();
+        Error::check_finite(what, &flat)?;
+    }
+    if seen.points.is_empty() {
+        let remedy = "check the segmentation: no scan point carries this garment's label";
+        return Err(Error::numerics("refinement of a garment template", "the scan has no points of it", remedy));
+    }
+    let patches = Patches::new(&seen);
+    let attempt = |style: &Style| -> Result<Trial> {
+        let template = source.template(tailor, style, resolution_m)?;
+        let worn = wear(&template)?;
+        let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
+        Ok(Trial { template, worn, residuals })
+    };
+    let mut u = source.coordinates(start);
+    let axes = u.len();
+    let mut now = attempt(start)?;
+    let mut evaluations = 1;
+    // Garments a difference away along each axis but some, towards the inside of the range; `None` where none can be made.
+    let around = |u: &[f64], but: &[usize]| -> Result<Vec<Option<(Vec<f64>, Trial)>>> {
+        let beside = |axis: usize| {
+            if but.contains(&axis) {
+                return Ok(None);
+            }
+            let mut to = u.to_vec();
+            to[axis] += if to[axis] > 0.5 { -DIFFERENCE } else { DIFFERENCE };
+            let trial = passed_over(source.at(start, &to).and_then(|style| attempt(&style)))?;
+            Ok(trial.map(|t| (to, t)))
+        };
+        (0..axes).into_par_iter().map(beside).collect()
+    };
+    // What the scan says nothing of goes to the middle at once and stays there.
+    let mut beside = around(&u, &[])?;
+    evaluations += axes;
+    let unseen: Vec<usize> = (0..axes).filter(|&k| !answered(&now, beside[k].as_ref())).collect();
+    if !unseen.is_empty() {
+        unseen.iter().for_each(|&k| u[k] = MIDDLE);
+        now = attempt(&source.at(start, &u)?)?;
+        beside = around(&u, &unseen)?;
+        evaluations += 1 + axes - unseen.len();
+    }
+    for round in 0..if unseen.len() == axes { 0 } else { STEPS } {
+        if round > 0 {
+            beside = around(&u, &unseen)?;
+            evaluations += axes - unseen.len();
+        }
+        let step = gauss_newton(&u, &now, &beside)?;
+        let shared: Vec<Option<(Vec<f64>, Trial)>> = SHARES
+            .par_iter()
+            .map(|share| {
+                let to: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + share * s).collect();
+                let trial = passed_over(source.at(start, &to).and_then(|style| attempt(&style)))?;
+                Ok(trial.map(|t| (to, t)))
+            })
+            .collect::<Result<_>>()?;
+        evaluations += shared.len();
+        // Of the neighbours, too, one may be better than both.
+        let best = shared
+            .into_iter()
+            .chain(std::mem::take(&mut beside))
+            .flatten()
+            .map(|(to, trial)| (cost(&to, &trial), to, trial))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        let before = cost(&u, &now);
+        match best {
+            Some((reached, to, trial)) if reached < before => {
+                (u, now) = (to, trial);
+                if reached > (1.0 - WORTH_IT) * before {
+                    break;
+                }
+            }
+            _ => break,
+        }
+    }
+    let edges = &now.residuals[patches.points.len()..];
+    let square: f64 = edges.iter().map(|r| (r * SIGMA).powi(2)).sum();
+    Ok(Refinement {
+        style: now.template.style.clone(),
+        edges_off_m: (square / edges.len().max(1) as f64).sqrt(),
+        template: now.template,
+        worn: now.worn,
+        evaluations,
+    })
+}
+
+/// Whether enough patches answer to a step along an axis, where one can be made.
+fn answered(now: &Trial, beside: Option<&(Vec<f64>, Trial)>) -> bool {
+    let Some((_, trial)) = beside else { return false };
+    let changes = now.residuals.iter().zip(&trial.residuals).map(|(a, b)| b - a);
+    changes.filter(|c| c.abs() >= ANSWERS).count() >= WITNESSES
+}
+
+/// Half the sum of squares, robust, with the prior's.
+fn cost(u: &[f64], trial: &Trial) -> f64 {
+    let prior: f64 = u.iter().map(|u| ((u - MIDDLE) / PRIOR).powi(2)).sum();
+    0.5 * prior + trial.residuals.iter().map(|r| huber(*r).0).sum::<f64>()
+}
+
+/// The step within the space that the differences promise most of; 0 along axes without one.
+fn gauss_newton(u: &[f64], now: &Trial, beside: &[Option<(Vec<f64>, Trial)>]) -> Result<DVector<f64>> {
+    let axes = u.len();
+    let slope = |row: usize, axis: usize| {
+        let Some((to, trial)) = &beside[axis] else { return 0.0 };
+        let change = trial.residuals[row] - now.residuals[row];
+        if change.abs() < ANSWERS { 0.0 } else { change / (to[axis] - u[axis]) }
+    };
+    let mut h = DMatrix::from_diagonal_element(axes, axes, PRIOR.powi(-2));
+    let mut g = DVector::from_fn(axes, |k, _| (u[k] - MIDDLE) / (PRIOR * PRIOR));
+    for (row, r) in now.residuals.iter().enumerate() {
+        let slopes = DVector::from_fn(axes, |axis, _| slope(row, axis));
+        let w = huber(*r).1;
+        h += &slopes * slopes.transpose() * w;
+        g += slopes * (w * r);
+    }
+    let within = |k: usize, bound: f64| if beside[k].is_some() { bound - u[k] } else { 0.0 };
+    let lower = DVector::from_fn(axes, |k, _| within(k, 0.0));
+    let upper = DVector::from_fn(axes, |k, _| within(k, 1.0));
+    bounded::solve(&h, &-g, &lower, &upper, &DVector::zeros(axes))
+}
+
+/// `None` for a style that no garment can be made of, or worn.
+fn passed_over(trial: Result<Trial>) -> Result<Option<Trial>> {
+    match trial {
+        Ok(trial) => Ok(Some(trial)),
+        Err(Error::Numerics { .. } | Error::Mesh { .. }) => Ok(None),
+        Err(other) => Err(other),
+    }
+}
+
+/// ρ(r) and its weight ρ′(r)/r.
+fn huber(r: f64) -> (f64, f64) {
+    if r.abs() <= ROBUST_AT {
+        (0.5 * r * r, 1.0)
+    } else {
+        (ROBUST_AT * r.abs() - 0.5 * ROBUST_AT * ROBUST_AT, ROBUST_AT / r.abs())
+    }
+}
+
+/// Points that are taken together.
+struct Patches {
+    points: Vec<Vec<usize>>,
+    edges: Vec<Vec<usize>>,
+}
+
+impl Patches {
+    fn new(seen: &Seen<'_>) -> Self {
+        Self { points: in_cubes(seen.points, PATCH), edges: in_cubes(seen.edges, EDGE_PATCH) }
+    }
+    /// Median signed distance over sigma of each patch from a garment.
+    fn residuals(&self, seen: &Seen<'_>, vertices: &[Vec3], faces: &[[u32; 3]]) -> Result<Vec<f64>> {
+        let surface = NearestSurface::new(vertices, faces)?;
+        let boundary = Boundary::new(vertices, faces);
+        let from_surface = |p: &Vec3| {
+            let Some(near) = surface.nearest(p) else { return 0.0 };
+            let [a, b, c] = faces[near.face as usize].map(|v| vertices[v as usize]);
+            let normal = (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vec3::zeros);
+            (p - near.point).dot(&normal)
+        };
+        let points = self.points.iter().map(|patch| median(patch.iter().map(|&i| from_surface(&seen.points[i]))));
+        let edges = self.edges.iter().map(|patch| median(patch.iter().map(|&i| boundary.beyond(&seen.edges[i]))));
+        Ok(points.chain(edges).map(|d| d / SIGMA).collect())
+    }
+}
+
+/// Places of points by the cube of a grid that they lie in; cubes in an order of their own. Cubes with a few points only are left
+/// out: what is torn off by the cube's wall, a wrong label, a small hole.
+fn in_cubes(points: &[Vec3], side: f64) -> Vec<Vec<usize>> {
+    let mut cubes: BTreeMap<[i64; 3], Vec<usize>> = BTreeMap::new();
+    for (i, p) in points.iter().enumerate() {
+        cubes.entry([p.x, p.y, p.z].map(|c| (c / side).floor() as i64)).or_default().push(i);
+    }
+    let mut counts: Vec<usize> = cubes.values().map(Vec::len).collect();
+    counts.sort_unstable();
+    let few = counts.get(counts.len() / 2).map_or(0, |median| median / 4);
+    cubes.into_values().filter(|patch| patch.len() > few).collect()
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut all: Vec<f64> = values.collect();
+    all.sort_by(f64::total_cmp);
+    all.get(all.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The edges of a garment that have one triangle, with the direction out of it.
+struct Boundary {
+    edges: Vec<([Vec3; 2], Vec3)>,
+}
+
+impl Boundary {
+    fn new(vertices: &[Vec3], faces: &[[u32; 3]]) -> Self {
+        let mut next = vec![u32::MAX; vertices.len()];
+        for ring in boundary_loops(faces) {
+            for (k, &v) in ring.iter().enumerate() {
+                next[v as usize] = ring[(k + 1) % ring.len()];
+            }
+        }
+        let mut edges = Vec::new();
+        for face in faces {
+            for k in 0..3 {
+                let (a, b) = (face[k] as usize, face[(k + 1) % 3] as usize);
+                if next[a] as usize != b && next[b] as usize != a {
+                    continue;
+                }
+                let (p, q, inner) = (vertices[a], vertices[b], vertices[face[(k + 2) % 3] as usize]);
+                let along = (q - p).try_normalize(0.0).unwrap_or_else(Vec3::x);
+                let away = (p - inner) - along * (p - inner).dot(&along);
+                edges.push(([p, q], away.try_normalize(0.0).unwrap_or_else(Vec3::zeros)));
+            }
+        }
+        Self { edges }
+    }
+    /// How far a point lies beyond the nearest edge along the surface [m], negative on the garment; 0 without edges.
+    fn beyond(&self, p: &Vec3) -> f64 {
+        let offset = |(ends, _): &([Vec3; 2], Vec3)| p - nearest_on_triangle(p, &[ends[0], ends[1], ends[1]]).point;
+        let nearest = self.edges.iter().map(|e| (offset(e), e.1)).min_by(|a, b| a.0.norm().total_cmp(&b.0.norm()));
+        nearest.map_or(0.0, |(offset, out)| offset.dot(&out))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn edges_are_signed_along_the_surface() {
+        // A strip of two squares along x, its boundary all around.
+        let vertices: Vec<Vec3> = (0..6).map(|i| Vec3::new(f64::from(i / 2), f64::from(i % 2), 0.0)).collect();
+        let faces = [[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]];
+        let boundary = Boundary::new(&vertices, &faces);
+        assert_eq!(boundary.edges.len(), 6);
+        // Beyond the end, off the surface: only the way along it counts.
+        assert!((boundary.beyond(&Vec3::new(2.25, 0.5, 0.1)) - 0.25).abs() < 1e-12);
+        assert!((boundary.beyond(&Vec3::new(1.9, 0.5, -0.1)) + 0.1).abs() < 1e-12);
+        assert!((boundary.beyond(&Vec3::new(0.5, 1.25, 0.0)) - 0.25).abs() < 1e-12);
+        let seen = Seen { points: &[Vec3::new(0.5, 0.5, 0.01)], edges: &[Vec3::new(2.02, 0.5, 0.0)] };
+        let r = Patches::new(&seen).residuals(&seen, &vertices, &faces).unwrap();
+        assert!((r[0].abs() - 0.01 / SIGMA).abs() < 1e-9 && (r[1] - 0.02 / SIGMA).abs() < 1e-9, "{r:?}");
+    }
+}
