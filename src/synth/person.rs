@@ -62,7 +62,8 @@ impl Person {
             .iter()
             .map(|template| {
                 let mut cut = template.clone();
-                let scale = [config.rest.girth, config.rest.length];
+                // u is along the grain, which follows the limb.
+                let scale = [config.rest.length, config.rest.girth];
                 cut.material_uv.iter_mut().flatten().for_each(|uv| {
                     uv.iter_mut().zip(scale).for_each(|(c, s)| *c *= s);
                 });
@@ -91,4 +92,46 @@ fn displacement(body: &dyn BodyModel, subject: &BodyParameters, size: f64, rng: 
     let heights: Vec<f64> = rest.vertices.iter().map(height).collect();
     let root_mean_square = (heights.iter().map(|h| h * h).sum::<f64>() / heights.len().max(1) as f64).sqrt();
     Ok(rest.vertex_normals().iter().zip(heights).map(|(n, h)| n * (h * size / root_mean_square)).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::files::ProjectFiles;
+    use crate::plugins::Plugins;
+
+    #[test]
+    fn a_longer_rest_shape_is_longer_along_the_sleeve() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("tiny.toml");
+        std::fs::write(&path, include_str!("../../tests/all/tiny.toml")).unwrap();
+        let config = Config::read_set(&path, &[], &mut Plugins::new().unwrap()).unwrap();
+        let crate::config::SubjectConfig::Synthetic(mut synthetic) = config.subject else { panic!("tiny is synthetic") };
+        synthetic.rest.length = 1.1;
+        let body: Arc<dyn BodyModel> = Arc::from(config.body.body(&ProjectFiles::new(folder.path())).unwrap());
+        let person = Person::new(&synthetic, body, 1).unwrap();
+        let shirt = &person.garments[0];
+        let (mut along, mut around) = (Vec::new(), Vec::new());
+        for (f, uv) in shirt.material_uv.iter().enumerate() {
+            let p = shirt.mesh.corners(f);
+            for k in 0..3 {
+                let (a, b) = (k, (k + 1) % 3);
+                let edge = p[b] - p[a];
+                // Arms are along x; edges of sleeves only.
+                if p[a].x.abs().min(p[b].x.abs()) < 0.24 {
+                    continue;
+                }
+                let ratio = (uv[b][0] - uv[a][0]).hypot(uv[b][1] - uv[a][1]) / edge.norm();
+                match edge.x.abs() / edge.norm() {
+                    c if c > 0.97 => along.push(ratio),
+                    c if c < 0.2 => around.push(ratio),
+                    _ => {}
+                }
+            }
+        }
+        // An edge at an angle a to the grain is longer by less than 10 %: sqrt(1.1² cos²a + sin²a), 1.09 at cos a = 0.95.
+        assert!(along.len() > 10 && along.iter().all(|r| *r > 1.08 && *r < 1.1 + 1e-9), "{along:?}");
+        assert!(around.len() > 10 && around.iter().all(|r| *r < 1.02), "{around:?}");
+    }
 }

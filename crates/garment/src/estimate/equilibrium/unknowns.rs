@@ -7,8 +7,8 @@ use crate::GarmentRest;
 use caphy_core::{Error, Result, Vec3};
 use nalgebra::DMatrix;
 
-/// Names of the rest-shape ease: shares by which the cut differs along u and v.
-const EASE: [&str; 2] = ["girth ease", "length ease"];
+/// Names of the rest-shape ease: shares by which the cut differs along u and v. The grain of worn garments follows the limb.
+const EASE: [&str; 2] = ["ease along the grain (length)", "ease across the grain (girth)"];
 /// Names of the body's offset [m]: the same everywhere, and growing along x, y, z of the first body.
 const OFFSET: [&str; 4] = ["body offset", "body offset by x", "body offset by y", "body offset by z"];
 /// An offset moves by one in this many metres in the fit, so that all unknowns are of one size.
@@ -124,7 +124,7 @@ fn offset_shapes(captures: &[Capture]) -> Result<Vec<[f64; 4]>> {
         .collect())
 }
 
-/// The same garment cut wider by a share along u and longer along v; its mass stays.
+/// The same garment cut longer by a share along u and wider along v; its mass stays.
 ///
 /// # Errors
 /// What [`GarmentRest::new`] refuses.
