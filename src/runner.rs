@@ -272,7 +272,7 @@ impl Run {
                 self.preprocess(&part(&[&PREPROCESSING, &templates[..]].concat()), &scans)?
             }
             SubjectConfig::Scans(folder) => {
-                scans = stage::scans::scan_list(&self.files, folder)?;
+                scans = stage::scans::scan_list(&self.files, folder, self.config.run.seed)?;
                 if dry {
                     let segmenter =
                         self.config.segmenter.as_ref().and_then(|s| s.table()["type"].as_str()).unwrap_or_default();

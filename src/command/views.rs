@@ -38,7 +38,7 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
     let body = config.body.body(&files)?;
     std::fs::create_dir_all(&arguments.out).map_err(|e| Error::io(&arguments.out, "create", e))?;
     let (mut written, mut failed) = (0, 0);
-    for file in &scan_list(&files, folder)?.list {
+    for file in &scan_list(&files, folder, config.run.seed)?.list {
         let (scan, _, notes) = match read_scan_of(&files, &config.subject, &*body, file) {
             Ok(read) => read,
             Err(error) => {

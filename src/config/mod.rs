@@ -132,9 +132,10 @@ pub struct DressedConfig {
 pub struct ScansConfig {
     /// Folder with `*.ply` and `*.obj`.
     pub folder: PathBuf,
-    /// Names (file stems) of scans that are kept for evaluation. Default none.
+    /// Scans that are kept for evaluation: names (file stems), or a share that `run.seed` draws, whole sequences where there are
+    /// some. Default 0.2, as in the paper.
     #[serde(default)]
-    pub held_out: Vec<String>,
+    pub held_out: HeldOut,
     /// Unit of positions: `"m"`, `"cm"`, `"mm"`, `"in"`. Default: of metres, centimetres and millimetres the one in which a scan
     /// is a person.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -146,6 +147,22 @@ pub struct ScansConfig {
     /// (3) [m], in metres with y up. Default none: poses are searched for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub starts: Option<PathBuf>,
+}
+
+/// Scans that nothing is learnt from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "a list of names of scans, or a share of them as 0.2")]
+pub enum HeldOut {
+    /// These, by name.
+    Names(Vec<String>),
+    /// A share of all, drawn by the seed [1].
+    Share(f64),
+}
+
+impl Default for HeldOut {
+    fn default() -> Self {
+        Self::Share(0.2)
+    }
 }
 
 /// A unit of length.

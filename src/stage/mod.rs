@@ -13,6 +13,7 @@ pub mod preprocess;
 pub mod reference;
 pub mod report;
 pub mod scans;
+mod split;
 pub mod synth;
 pub mod train;
 

@@ -1,6 +1,6 @@
 //! Folders of scans: which files they are, what unit and axis they have, and what speaks against using one.
 
-use super::{ScanFile, Scans};
+use super::{ScanFile, Scans, split};
 use crate::artifact;
 use crate::config::{LengthUnit, ScansConfig, SubjectConfig};
 use crate::files::ProjectFiles;
@@ -46,12 +46,11 @@ impl ScanFrame {
 ///
 /// # Errors
 /// [`Error::Config`] for a folder without a scan to learn from, two files of one name, a held-out scan that is not there.
-pub fn scan_list(files: &ProjectFiles, config: &ScansConfig) -> Result<Scans> {
+pub fn scan_list(files: &ProjectFiles, config: &ScansConfig, seed: u64) -> Result<Scans> {
     let paths = files.list(&config.folder, &SCAN_ENDINGS)?;
     let mut list = Vec::new();
     for path in paths {
         let name = path.file_stem().unwrap_or_default().to_string_lossy().to_string();
-        let held_out = config.held_out.contains(&name);
         if let Some(ScanFile { path: other, .. }) = list.iter().find(|s: &&ScanFile| s.name == name) {
             return Err(Error::config(
                 "subject.folder",
@@ -59,16 +58,11 @@ pub fn scan_list(files: &ProjectFiles, config: &ScansConfig) -> Result<Scans> {
                 "rename or move one of them",
             ));
         }
-        list.push(ScanFile { name, path, held_out });
+        list.push(ScanFile { name, path, held_out: false });
     }
-    if let Some(missing) = config.held_out.iter().find(|h| !list.iter().any(|s| &s.name == *h)) {
-        let names: Vec<&str> = list.iter().map(|s| s.name.as_str()).collect();
-        return Err(Error::config(
-            "subject.held_out",
-            format!("there is no scan `{missing}`"),
-            format!("the folder has: {}", names.join(", ")),
-        ));
-    }
+    let names: Vec<String> = list.iter().map(|s| s.name.clone()).collect();
+    let held = split::held_out(&names, &config.held_out, seed)?;
+    list.iter_mut().zip(held).for_each(|(scan, held)| scan.held_out = held);
     if !list.iter().any(|s| !s.held_out) {
         return Err(Error::config(
             "subject.folder",

@@ -107,7 +107,9 @@ mod tests {
         let path = folder.path().join("tiny.toml");
         std::fs::write(&path, include_str!("../../tests/all/tiny.toml")).unwrap();
         let config = Config::read_set(&path, &[], &mut Plugins::new().unwrap()).unwrap();
-        let crate::config::SubjectConfig::Synthetic(mut synthetic) = config.subject else { panic!("tiny is synthetic") };
+        let crate::config::SubjectConfig::Synthetic(mut synthetic) = config.subject else {
+            panic!("tiny is synthetic")
+        };
         synthetic.rest.length = 1.1;
         let body: Arc<dyn BodyModel> = Arc::from(config.body.body(&ProjectFiles::new(folder.path())).unwrap());
         let person = Person::new(&synthetic, body, 1).unwrap();
