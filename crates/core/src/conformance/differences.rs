@@ -5,12 +5,12 @@ const STEPS: [f64; 4] = [1e-4, 1e-5, 1e-6, 1e-7];
 
 /// Whether a derivative is right: `f` at offsets along one variable, compared by central and both one-sided differences over
 /// several steps. `scale` is the size of derivatives that would be wrong if confused with zero, `step` the variable's scale.
-pub(super) fn agrees(derivative: f64, scale: f64, step: f64, f: impl Fn(f64) -> f64) -> bool {
+pub fn agrees(derivative: f64, scale: f64, step: f64, f: impl Fn(f64) -> f64) -> bool {
     agrees_within(derivative, scale, step, 0.0, f)
 }
 
 /// As [`agrees`], where values of `f` are rounded by `noise`.
-pub(super) fn agrees_within(derivative: f64, scale: f64, step: f64, noise: f64, f: impl Fn(f64) -> f64) -> bool {
+pub fn agrees_within(derivative: f64, scale: f64, step: f64, noise: f64, f: impl Fn(f64) -> f64) -> bool {
     let here = f(0.0);
     STEPS.iter().any(|h| {
         let h = h * step;

@@ -22,7 +22,7 @@
 //! [`Error::Unsupported`](crate::Error::Unsupported), and is then reported as not offered, not as passed.
 
 pub mod body;
-mod differences;
+pub mod differences;
 pub mod material;
 pub mod net;
 pub mod segmenter;
@@ -144,7 +144,7 @@ macro_rules! conformance_list {
             parameter_gradients_are_added(model) "the parameter gradient is added to, the feature gradient overwritten";
             single_agrees_with_double(model) "single precision agrees with double";
             wrong_lengths_are_refused(model) "wrong lengths are typed errors";
-            large_features_stay_finite(model) "large features have finite answers";
+            large_features_stay_finite(model) "large features have finite answers, and what is no number is not hidden";
             threads_change_nothing(model) "equal passes give equal bits on any thread";
             offers_are_true(model) "what is declared is answered, and nothing else is";
         }
