@@ -20,6 +20,8 @@ mod experiment;
 mod inputs;
 /// Played for longer than training ever saw.
 mod long_clip;
+/// The scene plan: what it leaves out changes nothing.
+mod plan;
 /// From scans to report: results, resuming, same bits.
 mod pipeline;
 /// Plugin libraries in the whole program.
@@ -30,5 +32,7 @@ mod record;
 mod scans;
 /// Clothed people that nobody here made.
 mod standin;
+/// The stability atlas.
+mod stress;
 /// Scans of generated people.
 mod synth;
