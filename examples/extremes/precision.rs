@@ -129,8 +129,8 @@ fn measured_table(x: &str, found: &[(f64, Errors)]) -> String {
 }
 
 /// The first x from which on all errors with positions stay below what is enough.
-fn enough_from(found: &[(f64, Errors)]) -> Option<f64> {
-    let good = |e: &Errors| e.whole.iter().all(|w| *w < ENOUGH);
+fn enough_from(found: &[(f64, Errors)], which: usize) -> Option<f64> {
+    let good = |e: &Errors| e.whole[which] < ENOUGH;
     let bad = found.iter().rposition(|(_, e)| !good(e));
     found.get(bad.map_or(0, |b| b + 1)).map(|f| f.0)
 }

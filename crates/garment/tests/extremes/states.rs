@@ -63,7 +63,7 @@ pub(crate) const EXTREMES: &[Extreme] = &[
     Extreme { name: "stretch x10 along u", positions: |x| map(x, |p| Vec3::new(10.0 * p.x, p.y, p.z)), guarded: false },
     Extreme { name: "stretch x10 both ways", positions: |x| map(x, |p| p * 10.0), guarded: false },
     Extreme { name: "one vertex torn away", positions: |x| { let mut out = shaken(x, 1e-3); out[12].z += 5.0; out }, guarded: false },
-    Extreme { name: "stretch x1000", positions: |x| map(x, |p| p * 1e3), guarded: false },
+    Extreme { name: "stretch x1000", positions: |x| map(&shaken(x, 1e-3), |p| p * 1e3), guarded: false },
     Extreme { name: "equal principal strains", positions: |x| map(x, |p| Vec3::new(1.1 * p.x, 1.1 * p.y, 0.0)), guarded: false },
     Extreme { name: "folded almost by 180 degrees", positions: |x| folded(x, 0.999 * std::f64::consts::PI), guarded: false },
     Extreme { name: "folded by +180 degrees", positions: |x| folded(x, std::f64::consts::PI), guarded: false },
