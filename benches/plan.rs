@@ -103,11 +103,9 @@ fn steps(
         weights: caphy::config::TermWeights { collision: 0.0.into(), ..Default::default() },
         ..config.clone()
     };
-    for (name, reach, config) in [
-        ("whole body", whole, &config),
-        ("planned part", near, &config),
-        ("contact off", near, &no_contact),
-    ] {
+    for (name, reach, config) in
+        [("whole body", whole, &config), ("planned part", near, &config), ("contact off", near, &no_contact)]
+    {
         let count = poses.len();
         let motion = MotionFrames {
             track: BodyTrack::within(0, body, subject, reach, poses).expect("bodies"),

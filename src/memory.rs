@@ -96,7 +96,8 @@ mod tests {
         let shapes = vec![("head".to_string(), vec![30, 4])];
         let net = NetManifest::new("test", 4, 30, 0, shapes);
         let sizes = Sizes { net: &net, tape: 7, vertices: 10, body_vertices: 100, joints: 2, frames: 50 };
-        let config = TrainConfig { window: 5, batch: 16, lead_in: 0, still_poses: 0, keep_bodies_mib: 1, ..Default::default() };
+        let config =
+            TrainConfig { window: 5, batch: 16, lead_in: 0, still_poses: 0, keep_bodies_mib: 1, ..Default::default() };
         let need = MemoryNeed::training(&sizes, &config);
         assert_eq!((need.net, need.good_state), (4 * 4 * 120, 4 * 4 * 120));
         // Three times 16 lanes of 5 frames of 10 vertices, what is nearest to them, two bodies, the tape.

@@ -124,7 +124,10 @@ impl Map<'_> {
         let (w, h) = (MAP / columns as f64, MAP / rows as f64);
         let (width, height) = (left + MAP + 20.0, top + MAP + 64.0);
         let text = |x: f64, y: f64, anchor: &str, size: u32, t: &str| {
-            format!("<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" font-size=\"{size}\" fill=\"#333\">{}</text>", escape(t))
+            format!(
+                "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" font-size=\"{size}\" fill=\"#333\">{}</text>",
+                escape(t)
+            )
         };
         let mut svg = format!(
             "<svg viewBox=\"0 0 {width} {height}\" class=\"map\" role=\"img\" font-family=\"sans-serif\"><title>{}</title>{}",

@@ -365,7 +365,8 @@ impl<'a> GarmentLearner<'a> {
         let met = self.surface.as_ref().filter(|_| meets_body).map(points).transpose()?;
         let vertices = BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) };
         let state = State::new(&positions).with_targets(&targets);
-        let state = if meets_body { state.with_body(met.as_ref().map_or(vertices, ContactPoints::state)) } else { state };
+        let state =
+            if meets_body { state.with_body(met.as_ref().map_or(vertices, ContactPoints::state)) } else { state };
         let state = lead.as_ref().map_or(state, |lead| state.with_past(&lead.past));
         let mut gradient = pool.frames(steps, self.skinner.vertex_count(), windows);
         gradient.clear();

@@ -9,7 +9,7 @@ mod precision;
 use caphy::artifact::write_atomically;
 use caphy::plot::{Axes, Curve, lines, standalone};
 use caphy::plugins::Plugins;
-use caphy::stress::{self, Atlas};
+use caphy::stress::{self, Atlas, ROUNDINGS};
 use std::path::{Path, PathBuf};
 
 type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
@@ -69,7 +69,8 @@ fn main() -> Outcome<()> {
          ```text\n{}```\n\n{pictures}\n\
          Yellow gives way: the tangent ∂S/∂G is not positive there. Measured tables do so under tension by themselves, neo-Hookean cloth \
          where it is stretched far one way and crushed the other; StVK cloth never does in strain. (Any compressed cloth buckles \
-         nevertheless: that is geometry.)\n\n{}",
+         nevertheless: that is geometry.) Red in neo-Hookean f32 is a bound that stays: where det C is below a hundredth while one stretch is \
+         large, it is a difference of large numbers, and the stress is off by more than {ROUNDINGS:.0} roundings of its tangent. There, use f64.\n\n{}",
         stress::table(&atlases, &random),
         precision::section(&figures)?,
     );

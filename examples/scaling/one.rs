@@ -13,8 +13,9 @@ use caphy_core::Vec3;
 use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_garment::energy::ScanCloud;
 use caphy_garment::skinning::WeightOptions;
-use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
+use caphy_garment::template::{BodyRest, Style, Tailor, Template, UpperStyle};
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -23,6 +24,9 @@ use std::time::Instant;
 pub(crate) const STEPS: usize = 5;
 /// Vertices of the bench's shirt and its edges [m]: others follow by area.
 const KNOWN: (f64, f64) = (4470.0, 0.0154);
+
+/// Finest edges that shirts are cut with [m].
+const FINEST: f64 = 0.006;
 
 /// What is measured.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -74,6 +78,37 @@ fn peak() -> Outcome<usize> {
     Ok(1024 * line.trim().trim_end_matches("kB").trim().parse::<usize>()?)
 }
 
+/// Edges [m] of a shirt of so many vertices.
+fn edge(vertices: usize) -> f64 {
+    KNOWN.1 * (KNOWN.0 / vertices as f64).sqrt()
+}
+
+/// Splits each triangle at the middles of its sides; a shirt has no waistband whose loop would have to follow.
+fn split(template: &mut Template) {
+    let mut middles: HashMap<[u32; 2], u32> = HashMap::new();
+    let (mut faces, mut uv) = (Vec::new(), Vec::new());
+    for (face, corners) in template.mesh.faces.iter().zip(&template.material_uv) {
+        let middle: [u32; 3] = std::array::from_fn(|k| {
+            let (a, b) = (face[k], face[(k + 1) % 3]);
+            *middles.entry([a.min(b), a.max(b)]).or_insert_with(|| {
+                let points = &mut template.mesh.vertices;
+                points.push(0.5 * (points[a as usize] + points[b as usize]));
+                points.len() as u32 - 1
+            })
+        });
+        let half: [[f64; 2]; 3] =
+            std::array::from_fn(|k| std::array::from_fn(|c| 0.5 * (corners[k][c] + corners[(k + 1) % 3][c])));
+        for k in 0..3 {
+            faces.push([face[k], middle[k], middle[(k + 2) % 3]]);
+            uv.push([corners[k], half[k], half[(k + 2) % 3]]);
+        }
+        faces.push(middle);
+        uv.push(half);
+    }
+    (template.mesh.faces, template.material_uv) = (faces, uv);
+    template.loops.clear();
+}
+
 pub(crate) fn measure(case: &Case) -> Outcome<Measured> {
     rayon::ThreadPoolBuilder::new().num_threads(case.threads).build_global()?;
     let started = Instant::now();
@@ -82,8 +117,12 @@ pub(crate) fn measure(case: &Case) -> Outcome<Measured> {
     let rest = BodyRest::from_model(&*body, &subject)?;
     let skin = rest.mesh.clone();
     let style = UpperStyle { sleeve_length: 0.4, body_length: 0.5, looseness: 0.02, neckline: 0.3 };
-    let resolution = KNOWN.1 * (KNOWN.0 / case.vertices as f64).sqrt();
-    let template = Tailor::new(rest)?.generate(&Style::Upper(style), resolution)?;
+    // Finer than shirts are cut: triangles are split in four.
+    let splits = (0..).find(|s| edge(case.vertices >> (2 * s)) >= FINEST).unwrap_or(0);
+    let mut template = Tailor::new(rest)?.generate(&Style::Upper(style), edge(case.vertices >> (2 * splits)))?;
+    for _ in 0..splits {
+        split(&mut template);
+    }
     eprintln!("  template {:.1} s", started.elapsed().as_secs_f64());
     let shirt = FittedGarment::new(template, &skin.vertices, &body.describe().weights, &WeightOptions::default())?;
     eprintln!("  weights {:.1} s", started.elapsed().as_secs_f64());

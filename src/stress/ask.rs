@@ -16,7 +16,11 @@ pub(super) struct Answers {
 }
 
 /// Asks in precision T.
-pub(super) fn membrane<T: MaterialReal>(model: &dyn MaterialModel, green: &[[f64; 3]], tangents: bool) -> Result<Answers> {
+pub(super) fn membrane<T: MaterialReal>(
+    model: &dyn MaterialModel,
+    green: &[[f64; 3]],
+    tangents: bool,
+) -> Result<Answers> {
     let (n, offers) = (green.len(), model.describe().offers);
     let flat: Vec<T> = (0..3).flat_map(|c| green.iter().map(move |g| T::of(g[c]))).collect();
     let room = |wanted: bool, rows: usize| vec![T::zero(); if wanted { rows * n } else { 0 }];
@@ -49,9 +53,8 @@ pub(super) fn hinges<T: MaterialReal>(model: &dyn MaterialModel, hinges: &[Hinge
     let column = |f: fn(&Hinge) -> f64| hinges.iter().map(|h| T::of(f(h))).collect::<Vec<T>>();
     let [angle, rest] = [column(|h| h.angle), column(|h| h.angle_rest)];
     let [length, area] = [column(|h| h.length), column(|h| h.area)];
-    let side = |s: usize| -> Vec<T> {
-        (0..2).flat_map(|k| hinges.iter().map(move |h| T::of(h.directions[s][k]))).collect()
-    };
+    let side =
+        |s: usize| -> Vec<T> { (0..2).flat_map(|k| hinges.iter().map(move |h| T::of(h.directions[s][k]))).collect() };
     let (side0, side1) = (side(0), side(1));
     let mut k = vec![T::zero(); hinges.len()];
     let mut block = HingeBlock::new(hinges.len(), [&angle, &rest, &length, &area], [&side0, &side1]);

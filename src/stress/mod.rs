@@ -7,7 +7,7 @@ mod atlas;
 mod page;
 mod random;
 
-pub use atlas::{Atlas, Fold, Membrane, Precision, State, Summary};
+pub use atlas::{Atlas, Fold, Membrane, Precision, ROUNDINGS, State, Summary};
 pub use page::{strain_map, table, write};
 pub use random::{RandomStates, random_states};
 

@@ -2,9 +2,9 @@
 
 use super::ask;
 use crate::random::uniform;
+use caphy_core::Result;
 use caphy_core::extension::Hinge;
 use caphy_core::material::{MaterialModel, MaterialReal};
-use caphy_core::Result;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::Serialize;
@@ -164,7 +164,6 @@ fn folds<T: MaterialReal>(material: &dyn MaterialModel, hinges: &[Hinge], found:
     }
     Ok(())
 }
-
 
 #[cfg(test)]
 mod tests {

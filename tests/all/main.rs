@@ -20,10 +20,10 @@ mod experiment;
 mod inputs;
 /// Played for longer than training ever saw.
 mod long_clip;
-/// The scene plan: what it leaves out changes nothing.
-mod plan;
 /// From scans to report: results, resuming, same bits.
 mod pipeline;
+/// The scene plan: what it leaves out changes nothing.
+mod plan;
 /// Plugin libraries in the whole program.
 mod plugins;
 /// What training leaves behind, and what it survives.

@@ -96,7 +96,8 @@ impl Dressed {
     }
     /// A net whose head says something.
     fn first(&self, motion: &MotionFrames, config: &TrainConfig) -> TrainedGarment {
-        let track = BodyTrack::new(&*self.body, &self.subject, &self.reach(0.12, false), &self.poses[3..5]).expect("bodies");
+        let track =
+            BodyTrack::new(&*self.body, &self.subject, &self.reach(0.12, false), &self.poses[3..5]).expect("bodies");
         let mut first =
             untrained(&self.shirt, self.body.describe(), &self.net, config, motion, &track, 1).expect("a net");
         first.parameters.iter_mut().enumerate().for_each(|(i, p)| *p += 0.05 * (i as f32).sin());
@@ -146,7 +147,9 @@ fn off(a: &[f32], b: &[f32]) -> f32 {
 fn body_vertices_that_no_garment_reaches() {
     let dressed = Dressed::new();
     let (near, whole) = (dressed.reach(0.12, false), dressed.reach(10.0, false));
-    assert!(whole.vertices.len() == dressed.skin.vertices.len() && 2 * near.vertices.len() < whole.vertices.len() * 3 / 2);
+    assert!(
+        whole.vertices.len() == dressed.skin.vertices.len() && 2 * near.vertices.len() < whole.vertices.len() * 3 / 2
+    );
     let config = TrainConfig { lead_in: 2, ..TrainConfig::default() };
     let first = dressed.first(&dressed.motion(&near, true), &config);
     let (pruned, full) =
@@ -366,9 +369,17 @@ fn contact_that_is_off_needs_no_body() {
     let first = dressed.first(&dressed.motion(&reach, true), &off);
     let (motion, scans) = (dressed.motion(&reach, true), dressed.scans(&reach, 2));
     let contact = reach.contact(&dressed.skin, &dressed.shirt).expect("a contact map");
-    let mut learner =
-        GarmentLearner::new(&dressed.shirt, &first, dressed.material.clone(), &dressed.net, &off, &motion, &scans, contact)
-            .expect("a learner");
+    let mut learner = GarmentLearner::new(
+        &dressed.shirt,
+        &first,
+        dressed.material.clone(),
+        &dressed.net,
+        &off,
+        &motion,
+        &scans,
+        contact,
+    )
+    .expect("a learner");
     learner.set_profiling(true);
     learner.forward(&batches()[0]).expect("a pass");
     let stages: Vec<&str> = learner.profile().iter().map(|s| s.0).collect();

@@ -130,9 +130,8 @@ impl Drawn {
     fn tangent(&self, inner: [f64; 9], s: &[f64; 3]) -> [f64; 9] {
         let [share, slope, bend, curve] = self.along;
         let (g, along) = (&self.direction, dot(s, &self.direction));
-        let jacobian = |r: usize, c: usize| {
-            (if r == c { share } else { 0.0 }) + (slope - share) * g[r] * SHARES[c] * g[c]
-        };
+        let jacobian =
+            |r: usize, c: usize| (if r == c { share } else { 0.0 }) + (slope - share) * g[r] * SHARES[c] * g[c];
         std::array::from_fn(|e| {
             let (r, c) = (e / 3, e % 3);
             let mut value = 0.0;

@@ -595,7 +595,10 @@ pub fn extremes_keep_the_gradient(model: &dyn MaterialModel) -> Outcome {
             let slope = here.stress[component] * if component == 2 { 2.0 } else { 1.0 };
             let right = agrees_within(slope, scale, step, noise, |h| energy(model, shifted(green, component, h)));
             ensure(right, || {
-                format!("{} = {} N/m is not the energy's slope at G = {green:?}", COMPONENTS[component], here.stress[component])
+                format!(
+                    "{} = {} N/m is not the energy's slope at G = {green:?}",
+                    COMPONENTS[component], here.stress[component]
+                )
             })?;
         }
     }

@@ -29,7 +29,8 @@ impl GuardCounts {
         for frame in 0..positions.frames() {
             let x = positions.frame(frame / positions.lanes_used(), frame % positions.lanes_used());
             if let (Some(count), Some(limit)) = (&mut counts.strains, limit) {
-                *count += (0..rest.faces().len()).filter(|&f| strain_limit::beyond(limit, &rest.green(f, &x)) > 0).count();
+                *count +=
+                    (0..rest.faces().len()).filter(|&f| strain_limit::beyond(limit, &rest.green(f, &x)) > 0).count();
             }
             counts.needles += rest.hinges.iter().filter(|h| is_needle(h.vertices.map(|v| x[v as usize]))).count();
             let mut normals = vec![caphy_core::Vec3::zeros(); x.len()];

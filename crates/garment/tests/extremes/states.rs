@@ -28,7 +28,11 @@ pub(crate) fn shaken(points: &[Vec3], size: f64) -> Vec<Vec3> {
 fn folded(rest: &[Vec3], angle: f64) -> Vec<Vec3> {
     map(rest, |p| {
         let over = p.x - 0.05;
-        if over <= 0.0 { Vec3::new(p.x, p.y, 0.0) } else { Vec3::new(0.05 + over * angle.cos(), p.y, over * angle.sin()) }
+        if over <= 0.0 {
+            Vec3::new(p.x, p.y, 0.0)
+        } else {
+            Vec3::new(0.05 + over * angle.cos(), p.y, over * angle.sin())
+        }
     })
 }
 
@@ -36,8 +40,16 @@ fn folded(rest: &[Vec3], angle: f64) -> Vec<Vec3> {
 pub(crate) const EXTREMES: &[Extreme] = &[
     Extreme { name: "regular, shaken", positions: |x| shaken(x, 2e-3), guarded: false },
     Extreme { name: "inverted", positions: |x| map(x, |p| Vec3::new(-p.x, p.y, p.z)), guarded: false },
-    Extreme { name: "turned inside out in part", positions: |x| map(x, |p| Vec3::new((p.x - 0.06).abs(), p.y, p.z)), guarded: false },
-    Extreme { name: "zero area: collapsed to a line", positions: |x| map(x, |p| Vec3::new(p.x, 0.0, 0.0)), guarded: true },
+    Extreme {
+        name: "turned inside out in part",
+        positions: |x| map(x, |p| Vec3::new((p.x - 0.06).abs(), p.y, p.z)),
+        guarded: false,
+    },
+    Extreme {
+        name: "zero area: collapsed to a line",
+        positions: |x| map(x, |p| Vec3::new(p.x, 0.0, 0.0)),
+        guarded: true,
+    },
     Extreme { name: "collapsed to a point", positions: |x| vec![Vec3::new(0.1, 0.2, 0.3); x.len()], guarded: true },
     Extreme { name: "shrunk to micrometres", positions: |x| map(x, |p| p * 1e-4), guarded: false },
     Extreme {
@@ -62,10 +74,26 @@ pub(crate) const EXTREMES: &[Extreme] = &[
     },
     Extreme { name: "stretch x10 along u", positions: |x| map(x, |p| Vec3::new(10.0 * p.x, p.y, p.z)), guarded: false },
     Extreme { name: "stretch x10 both ways", positions: |x| map(x, |p| p * 10.0), guarded: false },
-    Extreme { name: "one vertex torn away", positions: |x| { let mut out = shaken(x, 1e-3); out[12].z += 5.0; out }, guarded: false },
+    Extreme {
+        name: "one vertex torn away",
+        positions: |x| {
+            let mut out = shaken(x, 1e-3);
+            out[12].z += 5.0;
+            out
+        },
+        guarded: false,
+    },
     Extreme { name: "stretch x1000", positions: |x| map(&shaken(x, 1e-3), |p| p * 1e3), guarded: false },
-    Extreme { name: "equal principal strains", positions: |x| map(x, |p| Vec3::new(1.1 * p.x, 1.1 * p.y, 0.0)), guarded: false },
-    Extreme { name: "folded almost by 180 degrees", positions: |x| folded(x, 0.999 * std::f64::consts::PI), guarded: false },
+    Extreme {
+        name: "equal principal strains",
+        positions: |x| map(x, |p| Vec3::new(1.1 * p.x, 1.1 * p.y, 0.0)),
+        guarded: false,
+    },
+    Extreme {
+        name: "folded almost by 180 degrees",
+        positions: |x| folded(x, 0.999 * std::f64::consts::PI),
+        guarded: false,
+    },
     Extreme { name: "folded by +180 degrees", positions: |x| folded(x, std::f64::consts::PI), guarded: false },
     Extreme { name: "folded by -180 degrees", positions: |x| folded(x, -std::f64::consts::PI), guarded: false },
     Extreme { name: "crumpled", positions: |x| shaken(x, 0.05), guarded: false },

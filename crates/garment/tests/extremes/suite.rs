@@ -24,11 +24,15 @@ fn steps<T: MaterialReal>(rest: &GarmentRest, positions: &[Vec3]) -> Frames<T> {
 /// A body surface that the cloth cuts through: the garment lies inside of it in part.
 fn body<T: MaterialReal>(steps: usize) -> (Frames<T>, Frames<T>) {
     let mesh = TriMesh {
-        vertices: (0..36).map(|v| Vec3::new(0.03 * f64::from(v % 6) - 0.02, 0.03 * f64::from(v / 6) - 0.02, 1e-3)).collect(),
-        faces: (0..25).flat_map(|q| {
-            let a = (q / 5) * 6 + q % 5;
-            [[a, a + 1, a + 7], [a, a + 7, a + 6]]
-        }).collect(),
+        vertices: (0..36)
+            .map(|v| Vec3::new(0.03 * f64::from(v % 6) - 0.02, 0.03 * f64::from(v / 6) - 0.02, 1e-3))
+            .collect(),
+        faces: (0..25)
+            .flat_map(|q| {
+                let a = (q / 5) * 6 + q % 5;
+                [[a, a + 1, a + 7], [a, a + 7, a + 6]]
+            })
+            .collect(),
     };
     let mut x = Frames::zeros(steps, 36, 2);
     (0..2 * steps).for_each(|f| x.set_frame(f / 2, f % 2, &mesh.vertices).expect("a frame"));
@@ -47,7 +51,10 @@ fn other_terms<T: MaterialReal>(rest: &GarmentRest, step: f64) -> Vec<Box<dyn En
     ]
 }
 
-fn elastic_terms<T: MaterialReal>(rest: &GarmentRest, material: &Arc<dyn MaterialModel>) -> Vec<Box<dyn EnergyTerm<T>>> {
+fn elastic_terms<T: MaterialReal>(
+    rest: &GarmentRest,
+    material: &Arc<dyn MaterialModel>,
+) -> Vec<Box<dyn EnergyTerm<T>>> {
     vec![
         Box::new(Strain::new(rest, material.clone())),
         Box::new(Bending::new(rest, material.clone(), RestAngle::Template)),
@@ -131,7 +138,8 @@ fn every_state_has_a_finite_answer_and_its_gradient() {
                 }
             }
             let acted = GuardCounts::of(&rest, &*material, &single);
-            let strains = facts.name == "neo_hookean" && extreme.name.contains("x1000") || extreme.name.contains("torn");
+            let strains =
+                facts.name == "neo_hookean" && extreme.name.contains("x1000") || extreme.name.contains("torn");
             assert!(extreme.guarded == (acted.needles > 0), "{name}: {acted:?}");
             assert!(strains || acted.strains == Some(0), "{name}: {acted:?}");
         }

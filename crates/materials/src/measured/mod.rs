@@ -24,11 +24,11 @@ pub use spec::{
     BendingLookup, EdgeLength, Form, MaterialMeasuredSpec, Preset, StiffnessGradient, StretchLookup, Switches,
 };
 
+use crate::bounds::{STRAIN_LIMITS, limit};
 use bending::{BendCurves, hinge_by_table};
 use caphy_core::material::{HingeCall, HingeLength, MaterialDescription, MaterialModel, MaterialOutputs, MembraneCall};
 use caphy_core::params::{Parameter, check_values};
 use caphy_core::units::KilogramPerSquareMetre;
-use crate::bounds::{STRAIN_LIMITS, limit};
 use caphy_core::{Error, Result, strain_limit};
 use membrane::Rule;
 use parameters::Entries;
