@@ -40,7 +40,7 @@ fn main() -> Outcome<()> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let threaded = [1, threads].map(|threads| child(&Case { vertices: MIDDLE, threads, ..Case::default() }));
     let [alone, together] = threaded;
-    let text = report(&page, &sizes, &others, &[alone?, together?])?;
+    let text = report(&page, largest, &sizes, &others, &[alone?, together?])?;
     write_atomically(&page, text.as_bytes())?;
     println!("{}", page.display());
     Ok(())
@@ -76,7 +76,13 @@ fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     format!("\n{}{}{}\n", line(&names), line(&rule), rows.iter().map(|r| line(r)).collect::<String>())
 }
 
-fn report(page: &Path, sizes: &[Measured], others: &[Measured], threads: &[Measured]) -> Outcome<String> {
+fn report(
+    page: &Path,
+    largest: usize,
+    sizes: &[Measured],
+    others: &[Measured],
+    threads: &[Measured],
+) -> Outcome<String> {
     let stem = page.file_stem().ok_or("name a file")?.to_string_lossy().into_owned();
     let folder = page.parent().unwrap_or(Path::new(".")).join(&stem);
     let points = |of: &dyn Fn(&Measured) -> f64| -> Vec<(f64, f64)> {
@@ -138,7 +144,7 @@ fn report(page: &Path, sizes: &[Measured], others: &[Measured], threads: &[Measu
     let load: Vec<String> = sizes.iter().map(|m| format!("{:.1}", m.load)).collect();
     Ok(format!(
         "# How training grows\n\n\
-         Made by `cargo run --release --example scaling -- docs/scaling.md`; every number is measured there, each size in a process of its own. \
+         Made by `cargo run --release --example scaling -- docs/scaling.md {largest}`; every number is measured there, each size in a process of its own. \
          A shirt of a measured fabric on a mannequin of about 10 500 vertices, the paper's net (GRU of 4 times 256, its head as wide as the \
          garment), 16 windows of 5 frames with 8 that lead in, one thread; beyond 29 000 vertices the triangles of a coarser shirt are split in four; the fastest of {} steps, since other work on the machine only ever adds (its \
          load average at each size: {}).\n\n\

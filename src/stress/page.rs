@@ -92,7 +92,7 @@ fn maps(name: &str, bits: &str, p: &Precision) -> [(&'static str, String); 2] {
         let near = |w: &f64| values.iter().position(|v| (v * scale - w).abs() <= 1e-6 * w.abs().max(1e-3));
         wanted.iter().filter_map(|w| Some((near(w)?, number(*w)))).collect()
     };
-    let ticks = pick(&p.membrane.stretches, &[0.0, 0.01, 0.1, 1.0, 10.0], 1.0);
+    let ticks = pick(&p.membrane.stretches, &[0.0, 0.1, 1.0, 10.0], 1.0);
     let membrane = Map {
         title: &format!("{name}, {bits}: strains"),
         x: ("first principal stretch", ticks.clone()),
