@@ -18,6 +18,7 @@ pub mod inference;
 pub mod inputs;
 pub mod manifest;
 pub mod measure;
+pub mod memory;
 pub mod motion;
 pub mod moving;
 mod page;
@@ -35,12 +36,13 @@ pub mod scene;
 pub mod show;
 pub mod simulate;
 pub mod stage;
+pub mod stress;
 pub mod synth;
 pub mod track;
 pub mod trainer;
 pub mod training;
 
-/// The worked examples of CONTRIBUTING.md, compiled and run.
+/// The worked examples of docs/plugins.md, compiled and run.
 #[cfg(doctest)]
-#[doc = include_str!("../CONTRIBUTING.md")]
-mod contributing {}
+#[doc = include_str!("../docs/plugins.md")]
+mod plugins_page {}

@@ -54,6 +54,9 @@ enum Command {
     /// Ask a material for its answers to deformation gradients or folds.
     #[command(after_help = command::probe::EXAMPLES)]
     Probe(command::probe::Arguments),
+    /// Map where fabrics are finite, have the right gradient and a positive tangent, in both precisions.
+    #[command(after_help = command::stress::EXAMPLES)]
+    Stress(command::stress::Arguments),
     /// Check a plugin against the promise of its trait; fails when a check fails.
     #[command(after_help = command::check::EXAMPLES)]
     Check(command::check::Arguments),
@@ -91,6 +94,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
         Command::Estimate(arguments) => command::estimate::run(arguments, &mut plugins),
         Command::Synth(arguments) => command::synth::run(arguments, &mut plugins),
         Command::Probe(arguments) => command::probe::run(arguments, &plugins),
+        Command::Stress(arguments) => command::stress::run(arguments, &plugins),
         Command::Check(arguments) => command::check::run(arguments, &mut plugins),
     }
 }

@@ -81,6 +81,10 @@ impl<T: MaterialReal> Physics<T> {
     pub fn set_share(&mut self, share: f64) {
         self.share = share;
     }
+    /// Whether contact with the body counts at this share of training: else nobody needs to pose it.
+    pub fn meets_body(&self) -> bool {
+        self.weights.collision.at(self.share) != 0.0
+    }
     /// λ3d [J/m²] at this share of training, for who adds the scan term.
     pub fn scan_weight(&self) -> f64 {
         self.weights.scan.at(self.share)

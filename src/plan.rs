@@ -2,11 +2,14 @@
 //! `caphy run --plan`, and obeyed: what is off is neither run nor allocated.
 
 use crate::config::{Config, Schedule, SubjectConfig};
-use crate::scene::Scene;
+use crate::garment::FittedGarment;
+use crate::memory::{MemoryNeed, Sizes, available, readable};
+use crate::scene::{REACH, Scene};
 use crate::stage::alternation_names;
 use crate::stage::preprocess::Subject;
 use crate::stage::scans::PlannedScan;
 use crate::trainer::pose_features;
+use caphy_core::net::NetManifest;
 use caphy_core::{Error, Result};
 use serde::Serialize;
 use std::fmt::Write;
@@ -37,6 +40,8 @@ pub struct ScenePlan {
     pub motion: Option<PlannedMotion>,
     /// The scans of a folder, as a look at each file shows them.
     pub scans: Vec<PlannedScan>,
+    /// Memory that was free when the plan was made [bytes], where the system says so.
+    pub available: Option<usize>,
 }
 
 /// The part of the body and of the net that a garment needs.
@@ -54,8 +59,23 @@ pub struct PlannedGarment {
     pub all_joints: usize,
     /// Inputs, outputs and parameters of the net.
     pub net: [usize; 3],
-    /// Energy terms, each with the reason why it is off.
-    pub terms: Vec<(&'static str, Option<String>)>,
+    /// Inputs, and parameters, that a net of all joints would have more.
+    pub joints_save: [usize; 2],
+    /// Energy terms.
+    pub terms: Vec<PlannedTerm>,
+    /// What training it takes.
+    pub memory: MemoryNeed,
+}
+
+/// An energy term of a garment's training.
+#[derive(Debug, Clone, Serialize)]
+pub struct PlannedTerm {
+    /// As in the metrics.
+    pub name: &'static str,
+    /// Why it is off.
+    pub off: Option<String>,
+    /// What a step does for it, or saves.
+    pub work: String,
 }
 
 /// Motion to train on.
@@ -65,6 +85,10 @@ pub struct PlannedMotion {
     pub frames: usize,
     /// First frames of windows.
     pub windows: usize,
+    /// Bytes that bodies posed once and kept take: more than `train.keep_bodies_mib`, and they are posed in each step.
+    pub bodies: usize,
+    /// Whether they are kept.
+    pub kept: bool,
 }
 
 impl ScenePlan {
@@ -127,7 +151,7 @@ impl ScenePlan {
         }
         let shown: Vec<&'static str> = stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect();
         stages.push(PlannedStage { name: "report", needs: shown, off: None, done: false, again: false });
-        Self { stages, garments: Vec::new(), motion: None, scans: Vec::new() }
+        Self { stages, garments: Vec::new(), motion: None, scans: Vec::new(), available: available() }
     }
 
     /// Narrows the plan to one stage and what it needs.
@@ -233,12 +257,29 @@ impl ScenePlan {
     ///
     /// # Errors
     /// What the body, the clips or the net are refused for.
-    pub(crate) fn describe(&mut self, config: &Config, scene: &Scene, subject: &Subject) -> Result<()> {
+    pub(crate) fn describe(
+        &mut self,
+        config: &Config,
+        scene: &Scene,
+        subject: &Subject,
+        motion: PlannedMotion,
+    ) -> Result<()> {
         let body = scene.body.describe();
         for garment in &subject.garments {
             let features = pose_features(garment, body)?;
             let net = config.net.net(features.count(), 3 * garment.mesh.vertices.len())?;
             let manifest = net.manifest();
+            let parameters = |manifest: &NetManifest| manifest.tensors.iter().map(|t| t.len()).sum::<usize>();
+            let told = (body.joints.len() - 1 - features.joints().len()) * features.options().rotation.len();
+            let whole = config.net.net(features.count() + told, 3 * garment.mesh.vertices.len())?;
+            let sizes = Sizes {
+                net: manifest,
+                tape: net.tape_len(config.train.window, config.train.batch)?,
+                vertices: garment.mesh.vertices.len(),
+                body_vertices: scene.reach.vertices.len(),
+                joints: body.joints.len(),
+                frames: motion.frames,
+            };
             let names = features.joints().iter().map(|&j| body.joints[j].name.clone()).collect();
             self.garments.push(PlannedGarment {
                 name: garment.kind.to_string(),
@@ -246,10 +287,13 @@ impl ScenePlan {
                 body_vertices: [scene.reach.vertices.len(), body.vertex_count],
                 joints: names,
                 all_joints: body.joints.len(),
-                net: [manifest.inputs, manifest.outputs, manifest.tensors.iter().map(|t| t.len()).sum()],
-                terms: terms(config, subject, garment.loops.iter().any(|l| l.name == "waist"))?,
+                net: [manifest.inputs, manifest.outputs, parameters(manifest)],
+                joints_save: [told, parameters(whole.manifest()) - parameters(manifest)],
+                terms: terms(config, scene, subject, garment),
+                memory: MemoryNeed::training(&sizes, &config.train),
             });
         }
+        self.motion = Some(motion);
         Ok(())
     }
 
@@ -277,50 +321,108 @@ impl ScenePlan {
         }
         for g in &self.garments {
             let _ = writeln!(out, "Garment {}: {} vertices", g.name, g.vertices);
-            let _ = writeln!(out, "  body in contact    {} of {} vertices", g.body_vertices[0], g.body_vertices[1]);
+            let [near, all] = g.body_vertices;
+            let _ = writeln!(out, "  body in contact    {near} of {all} vertices");
+            let _ = writeln!(
+                out,
+                "                     others lie more than {REACH} m from every garment in the T-pose: {:.0} % of the posing of bodies",
+                100.0 * (1.0 - near as f64 / all.max(1) as f64)
+            );
             let _ =
                 writeln!(out, "  joints             {} of {}: {}", g.joints.len(), g.all_joints, g.joints.join(", "));
+            let [inputs, parameters] = g.joints_save;
+            let _ = writeln!(
+                out,
+                "                     others move no vertex of it: {inputs} inputs and {parameters} parameters less"
+            );
             let _ = writeln!(
                 out,
                 "  net                {} inputs, {} outputs, {} parameters",
                 g.net[0], g.net[1], g.net[2]
             );
-            let (on, off): (Vec<_>, Vec<_>) = g.terms.iter().partition(|t| t.1.is_none());
-            let on: Vec<&str> = on.iter().map(|t| t.0).collect();
+            let on: Vec<&str> = g.terms.iter().filter(|t| t.off.is_none()).map(|t| t.name).collect();
             let _ = writeln!(out, "  energies           {}", on.join(", "));
-            for (name, why) in off {
-                let _ = writeln!(out, "  no {name:15} {}", why.as_deref().unwrap_or_default());
+            for term in &g.terms {
+                if let Some(why) = &term.off {
+                    let _ = writeln!(out, "  no {:15} {why}: saves {}", term.name, term.work);
+                }
+            }
+            let need = &g.memory;
+            let _ = writeln!(
+                out,
+                "  memory             about {}: net {}, its last good state {}, a step {}, motion {}",
+                readable(need.total()),
+                readable(need.net),
+                readable(need.good_state),
+                readable(need.step),
+                readable(need.motion)
+            );
+            if let Some(free) = self.available.filter(|free| need.total() > *free) {
+                let _ = writeln!(
+                    out,
+                    "  ! does not fit into the {} that are free: take a coarser template (`resolution_m`), a smaller net \
+                     (`net.hidden`), a smaller `train.batch`, or less `train.keep_bodies_mib`",
+                    readable(free)
+                );
             }
         }
         if let Some(motion) = &self.motion {
             let _ = writeln!(out, "Motion: {} frames, {} windows", motion.frames, motion.windows);
+            let bodies = readable(motion.bodies);
+            let _ = if motion.kept {
+                writeln!(out, "  bodies             posed once and kept, {bodies}: they come back in every round")
+            } else {
+                writeln!(
+                    out,
+                    "  bodies             posed in each step: kept, they would take {bodies}, more than train.keep_bodies_mib"
+                )
+            };
         }
         out
     }
 }
 
-/// Energy terms of one garment's training, each with the reason why it is off.
-fn terms(config: &Config, subject: &Subject, waistband: bool) -> Result<Vec<(&'static str, Option<String>)>> {
+/// Energy terms of one garment's training, each with the reason why it is off and what that saves.
+fn terms(config: &Config, scene: &Scene, subject: &Subject, garment: &FittedGarment) -> Vec<PlannedTerm> {
     let w = &config.train.weights;
     let weight = |name: &str, value: &Schedule| value.is_zero().then(|| format!("train.weights.{name} = 0"));
     let or = |first: Option<String>, holds: bool, why: &str| first.or_else(|| holds.then(|| why.to_string()));
-    Ok(vec![
-        ("strain", weight("strain", &w.strain)),
-        ("bending", weight("bending", &w.bending)),
-        ("gravity", weight("gravity", &w.gravity)),
-        (
+    let waistband = garment.loops.iter().any(|l| l.name == "waist");
+    let (vertices, faces) = (garment.mesh.vertices.len(), garment.mesh.faces.len());
+    let hinges = caphy_core::query::hinges(&garment.mesh.faces).0.len();
+    let still = config.train.window < 3 && config.train.lead_in == 0;
+    let no_scans = subject.training_scans().next().is_none();
+    let term = |name, off, work: String| PlannedTerm { name, off, work };
+    vec![
+        term("strain", weight("strain", &w.strain), format!("a pass over {faces} triangles")),
+        term("bending", weight("bending", &w.bending), format!("a pass over {hinges} hinges")),
+        term("gravity", weight("gravity", &w.gravity), format!("a pass over {vertices} vertices")),
+        term(
             "inertia",
-            or(
-                weight("inertia", &w.inertia),
-                config.train.window < 3 && config.train.lead_in == 0,
-                "train.window < 3: no velocity is known",
-            ),
+            or(weight("inertia", &w.inertia), still, "train.window < 3: no velocity is known"),
+            format!("a pass over {vertices} vertices"),
         ),
-        ("collision", weight("collision", &w.collision)),
-        ("attachment", or(weight("attachment", &w.attachment), !waistband, "the garment has no waistband")),
-        ("scan", or(weight("scan", &w.scan), subject.training_scans().next().is_none(), "there are no scans")),
-        ("layering", or(weight("layering", &w.layering), subject.garments.len() < 2, "there is one garment")),
-    ])
+        term(
+            "collision",
+            weight("collision", &w.collision),
+            format!("{} posed body vertices and the search among them", scene.reach.vertices.len()),
+        ),
+        term(
+            "attachment",
+            or(weight("attachment", &w.attachment), !waistband, "the garment has no waistband"),
+            "springs and their targets".into(),
+        ),
+        term(
+            "scan",
+            or(weight("scan", &w.scan), no_scans, "there are no scans"),
+            "a search among the scans' points, and back".into(),
+        ),
+        term(
+            "layering",
+            or(weight("layering", &w.layering), subject.garments.len() < 2, "there is one garment"),
+            "a search among the other garment's vertices".into(),
+        ),
+    ]
 }
 
 #[cfg(test)]

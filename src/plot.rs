@@ -99,6 +99,82 @@ pub fn lines(axes: &Axes<'_>, curves: &[Curve]) -> String {
     svg
 }
 
+/// A map of letters as an `<svg>` element: rows from below, runs of one letter drawn as one.
+pub struct Map<'a> {
+    /// Title above.
+    pub title: &'a str,
+    /// Name and unit of x, and labels of columns that have one.
+    pub x: (&'a str, Vec<(usize, String)>),
+    /// Name and unit of y, and labels of rows that have one.
+    pub y: (&'a str, Vec<(usize, String)>),
+    /// One letter per cell.
+    pub rows: &'a [String],
+    /// Letters with their colour and meaning.
+    pub legend: &'a [(char, &'a str, &'a str)],
+}
+
+/// Side of a map's drawing [px].
+const MAP: f64 = 300.0;
+
+impl Map<'_> {
+    /// The map; letters without a meaning are left out.
+    pub fn svg(&self) -> String {
+        let [left, top] = [56.0, 30.0];
+        let (rows, columns) = (self.rows.len().max(1), self.rows.first().map_or(1, String::len).max(1));
+        let (w, h) = (MAP / columns as f64, MAP / rows as f64);
+        let (width, height) = (left + MAP + 20.0, top + MAP + 64.0);
+        let text = |x: f64, y: f64, anchor: &str, size: u32, t: &str| {
+            format!(
+                "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{anchor}\" font-size=\"{size}\" fill=\"#333\">{}</text>",
+                escape(t)
+            )
+        };
+        let mut svg = format!(
+            "<svg viewBox=\"0 0 {width} {height}\" class=\"map\" role=\"img\" font-family=\"sans-serif\"><title>{}</title>{}",
+            escape(self.title),
+            text(left + MAP / 2.0, 18.0, "middle", 13, self.title),
+        );
+        for (r, row) in self.rows.iter().enumerate() {
+            let letters: Vec<char> = row.chars().collect();
+            let mut from = 0;
+            for run in letters.chunk_by(|a, b| a == b) {
+                if let Some((_, colour, _)) = self.legend.iter().find(|l| l.0 == run[0]) {
+                    let _ = write!(
+                        svg,
+                        "<rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"{colour}\"/>",
+                        left + from as f64 * w,
+                        top + (rows - 1 - r) as f64 * h,
+                        run.len() as f64 * w + 0.3,
+                        h + 0.3,
+                    );
+                }
+                from += run.len();
+            }
+        }
+        for (column, label) in &self.x.1 {
+            svg += &text(left + (*column as f64 + 0.5) * w, top + MAP + 14.0, "middle", 10, label);
+        }
+        for (row, label) in &self.y.1 {
+            svg += &text(left - 5.0, top + MAP - (*row as f64 + 0.5) * h + 3.0, "end", 10, label);
+        }
+        svg += &text(left + MAP / 2.0, top + MAP + 30.0, "middle", 11, self.x.0);
+        let _ = write!(
+            svg,
+            "<text transform=\"translate(13 {:.1}) rotate(-90)\" text-anchor=\"middle\" font-size=\"11\" fill=\"#333\">{}</text>",
+            top + MAP / 2.0,
+            escape(self.y.0)
+        );
+        let mut x = left;
+        for (_, colour, meaning) in self.legend {
+            let y = top + MAP + 44.0;
+            let _ = write!(svg, "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"10\" height=\"10\" fill=\"{colour}\"/>");
+            svg += &text(x + 13.0, y + 9.0, "start", 10, meaning);
+            x += 24.0 + 5.6 * meaning.len() as f64;
+        }
+        svg + "</svg>"
+    }
+}
+
 /// Round numbers inside a range, about five of them; on a logarithmic axis of the logarithms, so that decades come out.
 fn ticks(low: f64, high: f64) -> Vec<f64> {
     let raw = (high - low) / 5.0;
@@ -112,11 +188,12 @@ fn ticks(low: f64, high: f64) -> Vec<f64> {
 pub const STYLE: &str = ".plot .t{font-weight:600;font-size:14px}.plot .n{font-size:11px;fill:#555}\
 .plot .e{text-anchor:end}.plot .m{text-anchor:middle}.plot .g{stroke:#e6e6e6}.plot .c{fill:none;stroke-width:1.6}";
 
-/// A plot of [`lines`] as a file of its own.
+/// A plot of [`lines`] or a [`Map`] as a file of its own.
 pub fn standalone(svg: &str) -> String {
-    let head = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{WIDTH}\" height=\"{HEIGHT}\" font-family=\"sans-serif\" "
-    );
+    let view = svg.split("viewBox=\"0 0 ").nth(1).and_then(|rest| rest.split('"').next()).unwrap_or_default();
+    let (width, height) = view.split_once(' ').unwrap_or(("560", "300"));
+    let family = if svg.contains("font-family") { "" } else { "font-family=\"sans-serif\" " };
+    let head = format!("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" {family}");
     let body = svg.replacen("<svg ", &head, 1);
     body.replacen('>', &format!("><style>{STYLE}</style><rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>"), 1)
 }

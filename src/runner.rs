@@ -399,8 +399,7 @@ impl Run {
         let scene = Scene::new(&context, subject)?;
         let motion = scene.windows(&context)?;
         let mut plan = self.plan.clone();
-        plan.describe(&self.config, &scene, subject)?;
-        plan.motion = Some(motion);
+        plan.describe(&self.config, &scene, subject, motion)?;
         self.plan = plan;
         Ok(())
     }

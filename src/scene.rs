@@ -101,7 +101,10 @@ impl Scene {
     pub fn windows(&self, context: &Context<'_>) -> Result<PlannedMotion> {
         let clips = self.clips(context)?;
         let windows = MotionWindows::new(&clips, context.config.train.window)?;
-        Ok(PlannedMotion { frames: clips.iter().map(|c| c.clip.poses.len()).sum(), windows: windows.starts.len() })
+        let frames = clips.iter().map(|c| c.clip.poses.len()).sum();
+        let bodies = BodyTrack::kept_bytes(frames, &self.reach);
+        let limit = context.config.train.keep_bodies_mib.saturating_mul(1 << 20);
+        Ok(PlannedMotion { frames, windows: windows.starts.len(), bodies, kept: bodies <= limit })
     }
     /// Body track of the scans that may be learned from.
     pub fn scan_track(&self, subject: &Subject) -> Result<Arc<BodyTrack>> {

@@ -123,7 +123,7 @@ impl BodyTrack {
         reach: &Reach,
         poses: &[Pose],
     ) -> Result<BodyTrack> {
-        if poses.len().saturating_mul(reach.vertices.len() * KEPT_VERTEX) <= limit {
+        if Self::kept_bytes(poses.len(), reach) <= limit {
             return Self::new(&**body, subject, reach, poses);
         }
         let surface = Surface::Posed {
@@ -133,6 +133,10 @@ impl BodyTrack {
             spare: Mutex::default(),
         };
         Self::with_surface(&**body, subject, poses, reach.vertices.len(), surface)
+    }
+    /// What keeping so many frames takes [bytes].
+    pub fn kept_bytes(frames: usize, reach: &Reach) -> usize {
+        frames.saturating_mul(reach.vertices.len() * KEPT_VERTEX)
     }
     fn with_surface(
         body: &dyn BodyModel,

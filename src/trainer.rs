@@ -351,18 +351,22 @@ impl<'a> GarmentLearner<'a> {
         })?;
         // Free for what follows.
         drop(output);
-        let mut body = pool.frames(steps, track.vertices(), windows);
-        let mut normals = pool.frames(steps, track.vertices(), windows);
-        clock.time("body", || track.gather_into(&batch.frames, &mut body, &mut normals))?;
+        let meets_body = self.physics.meets_body();
+        let posed = if meets_body { track.vertices() } else { 0 };
+        let mut body = pool.frames(steps, posed, windows);
+        let mut normals = pool.frames(steps, posed, windows);
         let mut nearest = Vec::new();
-        clock.time("contact search", || self.contact.nearest_into(&positions, &body, &mut nearest))?;
+        if meets_body {
+            clock.time("body", || track.gather_into(&batch.frames, &mut body, &mut normals))?;
+            clock.time("contact search", || self.contact.nearest_into(&positions, &body, &mut nearest))?;
+        }
         let points =
             |s: &ContactSurface| clock.time("contact points", || s.points(&positions, &body, &normals, &nearest));
-        let met = self.surface.as_ref().map(points).transpose()?;
+        let met = self.surface.as_ref().filter(|_| meets_body).map(points).transpose()?;
         let vertices = BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) };
-        let state = State::new(&positions)
-            .with_body(met.as_ref().map_or(vertices, ContactPoints::state))
-            .with_targets(&targets);
+        let state = State::new(&positions).with_targets(&targets);
+        let state =
+            if meets_body { state.with_body(met.as_ref().map_or(vertices, ContactPoints::state)) } else { state };
         let state = lead.as_ref().map_or(state, |lead| state.with_past(&lead.past));
         let mut gradient = pool.frames(steps, self.skinner.vertex_count(), windows);
         gradient.clear();

@@ -1,9 +1,15 @@
 /* The blocks in one precision: REAL is the type, NAME(x) the name with its suffix. Included once for each. */
 
 /* Strains beyond this are cut, so that energies of any finite strain are finite. */
+static const REAL NAME(limit) = (REAL)1e14;
+
 static REAL NAME(cut)(REAL value) {
-    const REAL limit = (REAL)1e6;
-    return value > limit ? limit : value < -limit ? -limit : value;
+    return value > NAME(limit) ? NAME(limit) : value < -NAME(limit) ? -NAME(limit) : value;
+}
+
+/* Slope of the cut strain: where a component is cut, the energy does not change with it, and it has no stress. */
+static REAL NAME(slope)(REAL value) {
+    return value > NAME(limit) || value < -NAME(limit) ? (REAL)0 : (REAL)1;
 }
 
 static int32_t NAME(membrane)(const void *material, NAME(caphy_membrane) * block, caphy_sink error) {
@@ -14,19 +20,21 @@ static int32_t NAME(membrane)(const void *material, NAME(caphy_membrane) * block
     const REAL tangent[9] = {k0, k1, 0, k1, k2, 0, 0, 0, k3};
     const size_t n = block->count;
     for (size_t i = 0; i < n; i++) {
-        const REAL u = NAME(cut)(block->green.data[i]), v = NAME(cut)(block->green.data[n + i]),
-                   s = NAME(cut)(block->green.data[2 * n + i]);
+        const REAL *g = block->green.data;
+        const REAL u = NAME(cut)(g[i]), v = NAME(cut)(g[n + i]), s = NAME(cut)(g[2 * n + i]);
+        const REAL slope[3] = {NAME(slope)(g[i]), NAME(slope)(g[n + i]), NAME(slope)(g[2 * n + i])};
         if (block->energy.data) {
             block->energy.data[i] = (REAL)0.5 * (k0 * u * u + k2 * v * v) + k1 * u * v + k3 * s * s;
         }
         if (block->stress.data) {
-            block->stress.data[i] = k0 * u + k1 * v;
-            block->stress.data[n + i] = k2 * v + k1 * u;
-            block->stress.data[2 * n + i] = k3 * s;
+            block->stress.data[i] = slope[0] * (k0 * u + k1 * v);
+            block->stress.data[n + i] = slope[1] * (k2 * v + k1 * u);
+            block->stress.data[2 * n + i] = slope[2] * k3 * s;
         }
         for (size_t e = 0; e < 9; e++) {
-            if (block->tangent_held.data) block->tangent_held.data[e * n + i] = tangent[e];
-            if (block->tangent_total.data) block->tangent_total.data[e * n + i] = tangent[e];
+            const REAL t = slope[e / 3] * slope[e % 3] * tangent[e];
+            if (block->tangent_held.data) block->tangent_held.data[e * n + i] = t;
+            if (block->tangent_total.data) block->tangent_total.data[e * n + i] = t;
         }
         for (size_t a = 0; a < 4; a++) {
             if (block->stiffness.data) block->stiffness.data[a * n + i] = constants[a];

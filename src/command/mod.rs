@@ -9,6 +9,7 @@ pub(crate) mod probe;
 pub(crate) mod run;
 pub(crate) mod show;
 pub(crate) mod simulate;
+pub(crate) mod stress;
 pub(crate) mod synth;
 pub(crate) mod train;
 pub(crate) mod views;

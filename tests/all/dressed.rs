@@ -67,7 +67,7 @@ fn a_dressed_body_is_planned_trained_compared_and_played() {
     let shirt = &plan.garments[0];
     assert!(shirt.body_vertices[0] < shirt.body_vertices[1], "legs are out of a shirt's reach");
     assert!(!shirt.joints.iter().any(|j| j.contains("knee")), "{:?}", shirt.joints);
-    let active: Vec<&str> = shirt.terms.iter().filter(|t| t.1.is_none()).map(|t| t.0).collect();
+    let active: Vec<&str> = shirt.terms.iter().filter(|t| t.off.is_none()).map(|t| t.name).collect();
     assert_eq!(active, ["strain", "bending", "gravity", "inertia", "collision"]);
 
     let narrowed = Run::open(&experiment.config(), Some(experiment.out())).and_then(|r| r.only("train"));

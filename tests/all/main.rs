@@ -22,6 +22,8 @@ mod inputs;
 mod long_clip;
 /// From scans to report: results, resuming, same bits.
 mod pipeline;
+/// The scene plan: what it leaves out changes nothing.
+mod plan;
 /// Plugin libraries in the whole program.
 mod plugins;
 /// What training leaves behind, and what it survives.
@@ -30,5 +32,7 @@ mod record;
 mod scans;
 /// Clothed people that nobody here made.
 mod standin;
+/// The stability atlas.
+mod stress;
 /// Scans of generated people.
 mod synth;

@@ -24,7 +24,7 @@ fn example(name: &str, library: &str) -> PathBuf {
     profile.join(format!("{}{library}{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX))
 }
 
-fn woven() -> &'static Path {
+pub(crate) fn woven() -> &'static Path {
     static PATH: OnceLock<PathBuf> = OnceLock::new();
     PATH.get_or_init(|| example("plugin-material", "caphy_plugin_woven"))
 }

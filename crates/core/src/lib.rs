@@ -28,6 +28,7 @@ pub mod query;
 pub mod scan;
 pub mod segmenter;
 pub mod simd;
+pub mod strain_limit;
 pub mod units;
 
 pub use error::{Error, PluginProblem, Result};

@@ -301,6 +301,12 @@ pub trait MaterialModel: Send + Sync {
     fn parameters(&self) -> Vec<Parameter>;
     /// A copy with other parameter values, in the order of [`MaterialModel::parameters`].
     fn with_parameters(&self, values: &[f64]) -> Result<Box<dyn MaterialModel>>;
+    /// Strains larger than this, √(G:G), in single and in double precision, are answered as smaller ones so that nothing
+    /// overflows ([`crate::strain_limit`], which also counts them). `None`, the default: the material does not say, as one of a
+    /// loaded library.
+    fn strain_limits(&self) -> Option<[f64; 2]> {
+        None
+    }
 }
 
 /// The `[material]` table of a configuration: `type = "…"` chooses the implementation, the rest are its keys.

@@ -132,6 +132,14 @@ impl GarmentRest {
     pub fn faces(&self) -> &[[u32; 3]] {
         &self.template.faces
     }
+    /// Green strain [Guu, Gvv, Guv] of a face (Eqs. 3 and 4) with the vertices at `x` [m].
+    pub fn green(&self, face: usize, x: &[Vec3]) -> [f64; 3] {
+        let [a, b, c] = self.faces()[face].map(|v| x[v as usize]);
+        let [m00, m01, m10, m11] = self.dm_inverse[face];
+        let (d1, d2) = (b - a, c - a);
+        let (fu, fv) = (d1 * m00 + d2 * m10, d1 * m01 + d2 * m11);
+        [0.5 * (fu.norm_squared() - 1.0), 0.5 * (fv.norm_squared() - 1.0), 0.5 * fu.dot(&fv)]
+    }
     /// Rest area [m²].
     pub fn area(&self) -> f64 {
         self.areas.iter().sum()

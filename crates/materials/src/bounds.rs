@@ -1,9 +1,19 @@
 //! Bounds of a native parameter, derived from its start value.
 
+use caphy_core::Real;
 use caphy_core::params::Parameter;
 
 /// Largest stiffness of any kind [N/m or N·m]: 1e9 keeps f32 energies finite up to the strain limit.
 pub(crate) const LARGEST_STIFFNESS: f64 = 1e9;
+
+/// Largest strains of fabrics whose energy is a square of strain, in single and double precision: at twice them, the square times
+/// [`LARGEST_STIFFNESS`] is finite.
+pub(crate) const STRAIN_LIMITS: [f64; 2] = [1e14, 1e100];
+
+/// The one of [`STRAIN_LIMITS`] for a precision.
+pub(crate) fn limit<T: Real>() -> f64 {
+    STRAIN_LIMITS[usize::from(size_of::<T>() == 8)]
+}
 
 /// Three decades either way: what fabric estimation allows before it reports an active bound.
 const DECADES: f64 = 1e3;

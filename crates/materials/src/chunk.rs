@@ -15,12 +15,6 @@ pub(crate) fn clamp<T: Real>(value: T, low: T, high: T) -> T {
     if value < high { value } else { high }
 }
 
-/// Largest strain that enters an energy: its square times [`crate::bounds::LARGEST_STIFFNESS`] is finite.
-#[inline(always)]
-pub(crate) fn strain_limit<T: Real>() -> T {
-    T::of(if size_of::<T>() == 4 { 1e14 } else { 1e100 })
-}
-
 /// The whole part of a value in [0, 2³¹) as an index.
 #[inline(always)]
 pub(crate) fn index<T: Real>(whole: T) -> usize {

@@ -35,8 +35,8 @@
 //! * **Seams.** Each side has its own edge direction; the softer one wins, as in ARCSim.
 //! * **Kinks.** k is only continuous: its slope jumps on every table plane (1/30 in G) and at Guv = 0, where the slope
 //!   by Guv is given as 0, the mean of both sides.
-//! * **Overflow.** Strains beyond ±1e14 (f32) or ±1e100 (f64) are cut there, so that the energy of any finite strain is
-//!   finite.
+//! * **Overflow.** Strains larger than 1e14 (f32) or 1e100 (f64) are drawn back ([`caphy_core::strain_limit`]), so that the energy
+//!   of any finite strain is finite and its gradient is its gradient.
 
 mod angle;
 mod bounds;

@@ -119,7 +119,8 @@ pub struct MaterialNeoHookean {
 }
 
 impl EnergyMaterial for MaterialNeoHookean {
-    /// ψ grows with the eighth power below the joint; at stretch 14, and far outside of what cloth does.
+    /// ψ grows with the eighth power below the joint. Tenfold stretch both ways is 70, far outside of what cloth does; at
+    /// twice this, strains that no deformation has cost 1e35 J/m² with the largest λ.
     const LARGEST_STRAIN: f64 = 100.0;
 
     fn facts(&self) -> EnergyFacts {

@@ -1,7 +1,6 @@
 //! Plain Saint Venant-Kirchhoff sheet: two membrane constants, one bending constant (Eqs. 5 and 7).
 
-use crate::bounds::bounded;
-use crate::chunk::{clamp, strain_limit};
+use crate::bounds::{STRAIN_LIMITS, bounded, limit};
 use crate::lame::{LameKeys, check_bending, check_density, check_lame};
 use caphy_core::material::{
     HingeBlock, HingeCall, HingeLength, MaterialDescription, MaterialModel, MaterialOutputs, MaterialSpec,
@@ -9,7 +8,7 @@ use caphy_core::material::{
 };
 use caphy_core::params::{Parameter, check_values};
 use caphy_core::units::{KilogramPerSquareMetre, Metre, NewtonMetre, NewtonPerMetre, Pascal};
-use caphy_core::{Error, Real, Result, simd_kernel};
+use caphy_core::{Error, Real, Result, simd_kernel, strain_limit};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -169,7 +168,8 @@ impl MaterialStvk {
 
     fn membrane_block<T: Real>(&self, block: &mut MembraneBlock<'_, T>) -> Result<()> {
         block.check(self.parameters.len())?;
-        membrane_kernel(T::of(self.lambda.0), T::of(self.mu.0), block);
+        let (lambda, mu) = (T::of(self.lambda.0), T::of(self.mu.0));
+        strain_limit::within(limit::<T>(), block, |block| membrane_kernel(lambda, mu, block));
         Ok(())
     }
 
@@ -213,6 +213,9 @@ impl MaterialModel for MaterialStvk {
             HingeCall::F64(block) => self.hinge_block(block),
         }
     }
+    fn strain_limits(&self) -> Option<[f64; 2]> {
+        Some(STRAIN_LIMITS)
+    }
     fn parameters(&self) -> Vec<Parameter> {
         let values = [self.lambda.0, self.mu.0, self.bending.0];
         self.parameters.iter().zip(values).map(|(p, value)| Parameter { value, ..p.clone() }).collect()
@@ -240,16 +243,15 @@ simd_kernel! {
         let (guu, rest) = green.split_at(n);
         let (gvv, guv) = rest.split_at(n);
         let guv = &guv[..n];
-        let limit = strain_limit::<T>();
         let two = T::of(2.0);
         let half_lambda = T::of(0.5) * lambda;
         let stiff = lambda + two * mu;
         if let Some(energy) = block.energy.get() {
             let energy = &mut energy[..n];
             for i in 0..n {
-                let u = clamp(guu[i], -limit, limit);
-                let v = clamp(gvv[i], -limit, limit);
-                let w = clamp(guv[i], -limit, limit);
+                let u = guu[i];
+                let v = gvv[i];
+                let w = guv[i];
                 let trace = u + v;
                 energy[i] = half_lambda * trace * trace + mu * (u * u + v * v + two * w * w);
             }
@@ -259,9 +261,9 @@ simd_kernel! {
             let (svv, suv) = rest.split_at_mut(n);
             let suv = &mut suv[..n];
             for i in 0..n {
-                let u = clamp(guu[i], -limit, limit);
-                let v = clamp(gvv[i], -limit, limit);
-                let w = clamp(guv[i], -limit, limit);
+                let u = guu[i];
+                let v = gvv[i];
+                let w = guv[i];
                 suu[i] = stiff * u + lambda * v;
                 svv[i] = stiff * v + lambda * u;
                 suv[i] = two * mu * w;
@@ -282,9 +284,9 @@ simd_kernel! {
             // [parameter λ, μ, k_b][Suu, Svv, Suv][count]
             out.fill(T::zero());
             for i in 0..n {
-                let u = clamp(guu[i], -limit, limit);
-                let v = clamp(gvv[i], -limit, limit);
-                let w = clamp(guv[i], -limit, limit);
+                let u = guu[i];
+                let v = gvv[i];
+                let w = guv[i];
                 out[i] = u + v;
                 out[n + i] = u + v;
                 out[3 * n + i] = two * u;

@@ -5,13 +5,18 @@ const STEPS: [f64; 4] = [1e-4, 1e-5, 1e-6, 1e-7];
 
 /// Whether a derivative is right: `f` at offsets along one variable, compared by central and both one-sided differences over
 /// several steps. `scale` is the size of derivatives that would be wrong if confused with zero, `step` the variable's scale.
-pub(super) fn agrees(derivative: f64, scale: f64, step: f64, f: impl Fn(f64) -> f64) -> bool {
+pub fn agrees(derivative: f64, scale: f64, step: f64, f: impl Fn(f64) -> f64) -> bool {
+    agrees_within(derivative, scale, step, 0.0, f)
+}
+
+/// As [`agrees`], where values of `f` are rounded by `noise`.
+pub fn agrees_within(derivative: f64, scale: f64, step: f64, noise: f64, f: impl Fn(f64) -> f64) -> bool {
     let here = f(0.0);
     STEPS.iter().any(|h| {
         let h = h * step;
         let (plus, minus) = (f(h), f(-h));
         // A one-sided difference of a smooth function errs by h/2 times the curvature; a central one by rounding at least.
-        let near = |d: f64| (d - derivative).abs() <= 2e-5 * scale.max(derivative.abs());
+        let near = |d: f64| (d - derivative).abs() <= 2e-5 * scale.max(derivative.abs()) + 2.0 * noise / h;
         near((plus - minus) / (2.0 * h)) || near((plus - here) / h) || near((here - minus) / h)
     })
 }

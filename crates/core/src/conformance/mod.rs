@@ -22,7 +22,7 @@
 //! [`Error::Unsupported`](crate::Error::Unsupported), and is then reported as not offered, not as passed.
 
 pub mod body;
-mod differences;
+pub mod differences;
 pub mod material;
 pub mod net;
 pub mod segmenter;
@@ -116,6 +116,8 @@ macro_rules! conformance_list {
             elements_are_independent(model) "an element's answer does not depend on its neighbours in the block";
             outputs_are_independent(model) "an output does not depend on which others are wanted";
             extremes_are_finite(model) "every finite input has a finite answer in both precisions";
+            extremes_keep_the_gradient(model) "beyond what cloth does, the stress still belongs to the energy";
+            bounds_are_survived(model) "with parameters at their bounds, answers are finite and bending is not negative";
             bad_blocks_are_refused(model) "wrong lengths and values that are not finite are typed errors";
             single_agrees_with_double(model) "single precision agrees with double";
             parameters_are_sound(model) "parameters have unique names, values within bounds, and are refused outside";
@@ -142,7 +144,7 @@ macro_rules! conformance_list {
             parameter_gradients_are_added(model) "the parameter gradient is added to, the feature gradient overwritten";
             single_agrees_with_double(model) "single precision agrees with double";
             wrong_lengths_are_refused(model) "wrong lengths are typed errors";
-            large_features_stay_finite(model) "large features have finite answers";
+            large_features_stay_finite(model) "large features have finite answers, and what is no number is not hidden";
             threads_change_nothing(model) "equal passes give equal bits on any thread";
             offers_are_true(model) "what is declared is answered, and nothing else is";
         }

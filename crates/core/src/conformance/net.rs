@@ -413,15 +413,25 @@ pub fn wrong_lengths_are_refused(net: &dyn DeformationNet) -> Outcome {
     Ok(Verdict::Passed)
 }
 
-/// [`CHECKS`]: features of ±1e4, far from anything standardised.
+/// [`CHECKS`]: features of ±1e4, far from anything standardised, in every precision that is offered; a feature that is not a number
+/// is an error or makes the output none.
 pub fn large_features_stay_finite(net: &dyn DeformationNet) -> Outcome {
-    let mut case = Case::<f32>::new(net, PASS.0, PASS.1)?;
-    case.features.iter_mut().for_each(|f| *f *= 1e4);
-    let (output, after, tape) = case.forward(net)?;
-    ensure(output.iter().chain(&after).all(|v| v.is_finite()), || "the forward pass is not finite".into())?;
-    let mut gradient = vec![0.0; case.parameters.len()];
-    case.backward(net, &tape, &output, &mut gradient, None).map_err(unexpected("a backward pass"))?;
-    ensure(gradient.iter().all(|v| v.is_finite()), || "the gradient is not finite".into())?;
+    fn in_precision<T: NetReal>(net: &dyn DeformationNet) -> std::result::Result<(), String> {
+        let mut case = Case::<T>::new(net, PASS.0, PASS.1)?;
+        case.features.iter_mut().for_each(|f| *f *= T::of(1e4));
+        let (output, after, tape) = case.forward(net)?;
+        ensure(output.iter().chain(&after).all(|v| v.is_finite()), || "the forward pass is not finite".into())?;
+        let mut gradient = vec![T::zero(); case.parameters.len()];
+        case.backward(net, &tape, &output, &mut gradient, None).map_err(unexpected("a backward pass"))?;
+        ensure(gradient.iter().all(|v| v.is_finite()), || "the gradient is not finite".into())?;
+        case.features[0] = T::nan();
+        let hidden = case.forward(net).is_ok_and(|(output, ..)| output.iter().all(|v| v.is_finite()));
+        ensure(!hidden, || "a feature that is not a number has a finite output".into())
+    }
+    in_precision::<f32>(net)?;
+    if net.offers().double {
+        in_precision::<f64>(net)?;
+    }
     Ok(Verdict::Passed)
 }
 

@@ -106,7 +106,7 @@ pub struct HingeState<S> {
 /// A hyperelastic fabric by its energy.
 ///
 /// # Promise
-/// `energy` is zero with zero slope at zero strain, and finite with finite derivatives for every strain up to
+/// `energy` is zero with zero slope at zero strain, and finite with finite derivatives for every strain up to twice
 /// [`EnergyMaterial::LARGEST_STRAIN`], physical (C = I + 2G positive) or not. `bending_stiffness` is finite and not negative
 /// for every finite hinge, zero lengths and areas included. Both are plain arithmetic of [`Scalar`]s; mark them
 /// `#[inline(always)]`, or they leave the vector loops.
@@ -114,8 +114,8 @@ pub struct HingeState<S> {
 /// # Units
 /// As in [`MaterialModel`](crate::material::MaterialModel): J/m² of rest area, N·m.
 pub trait EnergyMaterial: Clone + Send + Sync + 'static {
-    /// Strains beyond ± this are cut here first, so that an energy that grows with a high power stays finite: |ψ| must stay
-    /// below 1e38 at it with the largest allowed parameters.
+    /// Strains larger than this, √(G:G), are drawn back to at most twice it ([`crate::strain_limit`]), so that an energy that grows
+    /// with a high power stays finite: |ψ| must stay below 1e38 at twice this with the largest allowed parameters. At least 1.
     const LARGEST_STRAIN: f64 = 1e6;
 
     /// Name and conventions.

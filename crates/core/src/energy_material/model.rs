@@ -6,7 +6,7 @@ use crate::material::{
     HingeBlock, HingeCall, MaterialDescription, MaterialModel, MaterialOutputs, MembraneBlock, MembraneCall,
 };
 use crate::params::{Parameter, check_values};
-use crate::{Result, simd_kernel};
+use crate::{Result, simd_kernel, strain_limit};
 
 /// Elements per piece: all of a piece's arrays stay in the first cache, and its loops vectorise without alias checks.
 const CHUNK: usize = 16;
@@ -28,6 +28,10 @@ impl<M: EnergyMaterial> FromEnergy<M> {
         let theta = self.0.parameters();
         block.check(theta.len())?;
         OFFERS.check_membrane(block, &self.0.facts().name)?;
+        strain_limit::within(M::LARGEST_STRAIN, block, |block| self.membrane_answers(&theta, block));
+        Ok(())
+    }
+    fn membrane_answers<T: PlainScalar>(&self, theta: &[Parameter], block: &mut MembraneBlock<'_, T>) {
         let plain: Vec<T> = theta.iter().map(|p| T::of(p.value)).collect();
         if block.energy.wanted() || block.stress.wanted() {
             membrane_values::<T, M>(&self.0, &plain, block);
@@ -42,7 +46,6 @@ impl<M: EnergyMaterial> FromEnergy<M> {
                 membrane_by_parameter::<T, M>(&self.0, &varied, index, block);
             }
         }
-        Ok(())
     }
 
     fn hinge_block<T: PlainScalar>(&self, block: &mut HingeBlock<'_, T>) -> Result<()> {
@@ -96,6 +99,9 @@ impl<M: EnergyMaterial> MaterialModel for FromEnergy<M> {
             HingeCall::F64(block) => self.hinge_block(block),
         }
     }
+    fn strain_limits(&self) -> Option<[f64; 2]> {
+        Some([M::LARGEST_STRAIN; 2])
+    }
     fn parameters(&self) -> Vec<Parameter> {
         self.0.parameters()
     }
@@ -122,18 +128,13 @@ fn slope<S: Scalar, M: EnergyMaterial>(model: &M, lifted: &[Dual<S, 3>], green: 
     (psi.value, [psi.slope[0], psi.slope[1], psi.slope[2].times(0.5)])
 }
 
-/// Strains of a piece inside the model's range; zeros behind the end.
+/// Strains of a piece; zeros behind the end.
 #[inline(always)]
-fn load<T: PlainScalar, M: EnergyMaterial>(green: &[T], count: usize, start: usize) -> [[T; CHUNK]; 3] {
-    let limit = T::of(M::LARGEST_STRAIN);
+fn load<T: PlainScalar>(green: &[T], count: usize, start: usize) -> [[T; CHUNK]; 3] {
     let mut piece = [[T::zero(); CHUNK]; 3];
     let used = CHUNK.min(count - start);
     for (c, row) in piece.iter_mut().enumerate() {
         row[..used].copy_from_slice(&green[c * count + start..][..used]);
-        for value in row.iter_mut() {
-            let low = if *value > -limit { *value } else { -limit };
-            *value = if low < limit { low } else { limit };
-        }
     }
     piece
 }
@@ -154,7 +155,7 @@ simd_kernel! {
         let energy_alone = !block.stress.wanted();
         let mut start = 0;
         while start < n {
-            let g = load::<T, M>(green, n, start);
+            let g = load(green, n, start);
             let mut energy = [T::zero(); CHUNK];
             let mut rows = [[T::zero(); CHUNK]; 3];
             if energy_alone {
@@ -203,7 +204,7 @@ simd_kernel! {
         let lifted: Vec<Dual<Dual<T, 3>, 3>> = theta.iter().map(|p| Dual::fixed(*p)).collect();
         let mut start = 0;
         while start < n {
-            let g = load::<T, M>(green, n, start);
+            let g = load(green, n, start);
             let mut entries = [[T::zero(); CHUNK]; 9];
             for i in 0..CHUNK {
                 let variables = [Dual::variable(g[0][i], 0), Dual::variable(g[1][i], 1), Dual::variable(g[2][i], 2)];
@@ -238,7 +239,7 @@ simd_kernel! {
         let Some(out) = block.stress_by_parameter.get() else { return };
         let mut start = 0;
         while start < n {
-            let g = load::<T, M>(green, n, start);
+            let g = load(green, n, start);
             let mut rows = [[T::zero(); CHUNK]; 3];
             for i in 0..CHUNK {
                 let fixed = [Dual::fixed(g[0][i]), Dual::fixed(g[1][i]), Dual::fixed(g[2][i])];

@@ -31,6 +31,8 @@ enum Fault {
     NeighboursMatter,
     EnergyAloneDiffers,
     NoStrainLimit,
+    EnergyCutAlone,
+    UnfitForItsBounds,
     NoChecks,
     SingleIsAnother,
     BoundsNotChecked,
@@ -82,6 +84,12 @@ impl Sheet {
             if let Some(out) = block.energy.get() {
                 let shear = if self.is(Fault::EnergyOfHalfTheShear) { 1.0 } else { 2.0 };
                 let mut psi = 0.5 * lambda * (u + v) * (u + v) + mu * (u * u + v * v + shear * w * w);
+                if self.is(Fault::EnergyCutAlone) && psi > 1e9 {
+                    psi = 1e9;
+                }
+                if self.is(Fault::UnfitForItsBounds) && lambda > 500.0 {
+                    psi = f64::INFINITY;
+                }
                 psi += if self.is(Fault::EnergyAtRest) { 1e-6 * mu } else { 0.0 };
                 if self.is(Fault::SensitiveToLastBits) && (u.to_bits() ^ v.to_bits() ^ w.to_bits()) & 1 == 1 {
                     psi *= 1.0 + 1e-8;
@@ -258,6 +266,8 @@ fn faults() -> Vec<(Fault, Vec<&'static str>)> {
         (Fault::NeighboursMatter, vec!["elements_are_independent"]),
         (Fault::EnergyAloneDiffers, vec!["outputs_are_independent"]),
         (Fault::NoStrainLimit, vec!["extremes_are_finite"]),
+        (Fault::EnergyCutAlone, vec!["extremes_keep_the_gradient"]),
+        (Fault::UnfitForItsBounds, vec!["bounds_are_survived"]),
         (Fault::NoChecks, vec!["bad_blocks_are_refused"]),
         (Fault::SingleIsAnother, vec!["single_agrees_with_double"]),
         (Fault::BoundsNotChecked, vec!["parameters_are_sound"]),

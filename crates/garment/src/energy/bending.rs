@@ -1,5 +1,6 @@
 //! Bending energy (Eq. 7): Σ k l²/(8A) (τ − τ_T)² over hinges, with the material's k.
 
+mod fade;
 mod single;
 mod tangent;
 
@@ -9,15 +10,19 @@ use crate::{GarmentRest, RestHinge};
 use caphy_core::array::Out;
 use caphy_core::lanes::Frames;
 use caphy_core::material::{HingeBlock, HingeLength, MaterialDescription, MaterialModel, MaterialReal};
-use caphy_core::{Error, Real, Result, simd_kernel};
+use caphy_core::{Error, Real, Result, Vec3, simd_kernel};
+use fade::Fade;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// A height below this share of the edge counts as this share (ARCSim's rule): a needle's dτ/dx = 1/h stays bounded.
+/// A hinge with a face lower than this share of its edge, or an edge shorter than this share of a height, loses its bending energy:
+/// a needle's dτ/dx stays bounded ([`fade`]).
 const SMALLEST_HEIGHT: f64 = 1e-3;
 /// Geometry kept between the two passes over a hinge: two unit normals over heights, two foot parameters, the edge's
-/// direction.
-const KEPT: usize = 11;
+/// direction, the share of the energy that is left.
+const KEPT: usize = 12;
+/// Where the share stands in it.
+const SHARE: usize = 11;
 
 /// What the dihedral angle is measured from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -123,10 +128,10 @@ impl<T: MaterialReal> Bending<T> {
                 self.ask(&facts, gradient.is_some(), &input, &mut stiffness, &mut by_angle, &mut by_length)
                     .map_err(|e| self.locate(e, step, c))?;
             }
-            sum(chunk, T::of(weight), &input, &stiffness, &mut energy);
+            sum(chunk, T::of(weight), &input, &kept, &stiffness, &mut energy);
             if let Some(gradient) = gradient.as_deref_mut() {
                 let slopes = (&by_angle[..], &by_length[..]);
-                scatter(chunk, length_flows, T::of(weight), &input, &kept, &stiffness, slopes, gradient);
+                scatter(chunk, length_flows, T::of(weight), x, &input, &kept, &stiffness, slopes, gradient);
             }
         }
         Ok(energy)
@@ -210,7 +215,7 @@ impl<T: Real> Input<T> {
     }
 }
 
-/// Angle, length and what [`forces`] needs (`[11][lane]`) of the hinges in a register's lanes, vertices `[xyz][lane]`.
+/// Angle, length and what [`forces`] needs (`[12][lane]`) of the hinges in a register's lanes, vertices `[xyz][lane]`.
 #[inline(always)]
 fn geometry<T: Real>(
     [x0, x1, x2, x3]: [&[T]; 4],
@@ -219,8 +224,8 @@ fn geometry<T: Real>(
     keep: &mut [T],
 ) {
     let lanes = T::LANES;
-    // Keeps divisions finite for collapsed hinges: far below any square of a real length or area.
-    let tiny = T::of(1e-30);
+    let tiny = T::of(fade::TINY);
+    let mut needle = false;
     let floor = T::of(SMALLEST_HEIGHT * SMALLEST_HEIGHT);
     for l in 0..lanes {
         let (m, n) = (lanes + l, 2 * lanes + l);
@@ -236,8 +241,9 @@ fn geometry<T: Real>(
         angle[l] = arc_tangent(edge * (px * bx + py * by + pz * bz), px * qx + py * qy + pz * qz);
         length[l] = edge;
         let (pp, qq) = (px * px + py * py + pz * pz, qx * qx + qy * qy + qz * qz);
-        // |n| = |e| h, so N/h = n |e| / |n|², with h not below its floor.
+        // |n| = |e| h, so N/h = n |e| / |n|².
         let least = floor * ee * ee + tiny;
+        needle |= fade::is_thin(pp, ee) | fade::is_thin(qq, ee);
         let sp = edge / if pp > least { pp } else { least };
         let sq = edge / if qq > least { qq } else { least };
         let inverse = T::one() / (ee + tiny);
@@ -253,6 +259,48 @@ fn geometry<T: Real>(
         keep[8 * lanes + l] = ex * direction;
         keep[9 * lanes + l] = ey * direction;
         keep[10 * lanes + l] = ez * direction;
+        keep[11 * lanes + l] = T::one();
+    }
+    if needle {
+        fade_lanes([x0, x1, x2, x3], keep);
+    }
+}
+
+/// Whether a hinge is one of those that lose their energy.
+pub(super) fn is_needle(x: [Vec3; 4]) -> bool {
+    Fade::new(x).is_some()
+}
+
+/// The vertices of one lane.
+fn lane_of<T: Real>(x: [&[T]; 4], l: usize) -> [Vec3; 4] {
+    x.map(|x| Vec3::new(x[l].to_f64(), x[T::LANES + l].to_f64(), x[2 * T::LANES + l].to_f64()))
+}
+
+/// Corrects what is kept of hinges with a needle.
+#[cold]
+fn fade_lanes<T: Real>(x: [&[T]; 4], keep: &mut [T]) {
+    for l in 0..T::LANES {
+        if let Some(fade) = Fade::new(lane_of(x, l)) {
+            for k in 0..3 {
+                keep[k * T::LANES + l] = T::of(fade.turns[0][k]);
+                keep[(3 + k) * T::LANES + l] = T::of(fade.turns[1][k]);
+            }
+            keep[11 * T::LANES + l] = T::of(fade.share);
+        }
+    }
+}
+
+/// Adds to the forces of [`forces`] what comes from the share of needles itself; `energy`: that of whole hinges.
+#[cold]
+fn fade_forces<T: Real>(x: [&[T]; 4], energy: &[T; MAX_LANES], rows: &mut [Row<T>; 4]) {
+    for l in 0..T::LANES {
+        if let Some(fade) = Fade::new(lane_of(x, l)) {
+            for (row, gradient) in rows.iter_mut().zip(&fade.gradient) {
+                for k in 0..3 {
+                    row[k * T::LANES + l] += energy[l] * T::of(gradient[k]);
+                }
+            }
+        }
     }
 }
 
@@ -312,17 +360,25 @@ simd_kernel! {
 
 simd_kernel! {
     /// Adds Σ k l²/(8A)(τ − τ_T)² per lane (Eq. 7): in T within a chunk, in f64 across chunks.
-    fn sum<T>(chunk: &[Element<T>], weight: T, input: &Input<T>, stiffness: &[T], energy: &mut [f64; MAX_LANES]) {
+    fn sum<T>(
+        chunk: &[Element<T>],
+        weight: T,
+        input: &Input<T>,
+        kept: &[T],
+        stiffness: &[T],
+        energy: &mut [f64; MAX_LANES],
+    ) {
         let lanes = T::LANES;
         let mut total = [T::zero(); MAX_LANES];
         for (i, hinge) in chunk.iter().enumerate() {
             let factor = hinge.weight / (T::of(8.0) * hinge.area);
             let at = i * lanes;
+            let share = &kept[at * KEPT + SHARE * lanes..][..lanes];
             let (angle, length, k) =
                 (&input.angle[at..][..lanes], &input.length[at..][..lanes], &stiffness[at..][..lanes]);
             for l in 0..lanes {
                 let fold = angle[l] - hinge.angle;
-                total[l] += factor * k[l] * length[l] * length[l] * fold * fold;
+                total[l] += factor * k[l] * length[l] * length[l] * fold * fold * share[l];
             }
         }
         for l in 0..lanes {
@@ -337,6 +393,7 @@ simd_kernel! {
         chunk: &[Element<T>],
         length_flows: bool,
         weight: T,
+        x: &[T],
         input: &Input<T>,
         kept: &[T],
         stiffness: &[T],
@@ -354,18 +411,27 @@ simd_kernel! {
             let kept = &kept[at * KEPT..][..KEPT * lanes];
             let mut turn = [T::zero(); MAX_LANES];
             let mut pull = [T::zero(); MAX_LANES];
+            let share = &kept[SHARE * lanes..][..lanes];
+            let mut needle = false;
             for l in 0..lanes {
                 let fold = angle[l] - hinge.angle;
+                needle |= share[l] != T::one();
                 // dE/dτ and dE/dl.
                 turn[l] = factor * length[l] * length[l] * fold * (k[l] + k[l] + by_angle[l] * fold);
-                pull[l] = flow * factor * fold * fold * length[l] * (k[l] + k[l] + by_length[l] * length[l]);
+                pull[l] = flow * share[l] * factor * fold * fold * length[l] * (k[l] + k[l] + by_length[l] * length[l]);
             }
-            let [g0, g1, g2, g3] = forces(&turn, &pull, kept);
-            let [x0, x1, x2, x3] = hinge.vertices;
-            add_row(gradient, x0, &g0);
-            add_row(gradient, x1, &g1);
-            add_row(gradient, x2, &g2);
-            add_row(gradient, x3, &g3);
+            let mut rows = forces(&turn, &pull, kept);
+            if needle {
+                let mut whole = [T::zero(); MAX_LANES];
+                for l in 0..lanes {
+                    let fold = angle[l] - hinge.angle;
+                    whole[l] = factor * k[l] * length[l] * length[l] * fold * fold;
+                }
+                fade_forces(hinge.vertices.map(|v| row(x, v)), &whole, &mut rows);
+            }
+            for (vertex, row) in hinge.vertices.into_iter().zip(&rows) {
+                add_row(gradient, vertex, row);
+            }
         }
     }
 }

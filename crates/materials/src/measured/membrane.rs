@@ -4,7 +4,7 @@
 
 use super::fabrics::{STRETCH_COLUMNS, STRETCH_ROWS};
 use super::spec::{Form, StiffnessGradient};
-use crate::chunk::{CHUNK, Row, clamp, piece, strain_limit, write};
+use crate::chunk::{CHUNK, Row, piece, write};
 use caphy_core::Real;
 use caphy_core::material::MembraneBlock;
 
@@ -110,7 +110,6 @@ pub(super) fn answer<T: Real, L: Lookup<T>>(lookup: &L, rule: Rule, block: &mut 
     let green = block.green.or_empty();
     let (guu, rest) = green.split_at(n);
     let (gvv, guv) = rest.split_at(n);
-    let limit = strain_limit::<T>();
     let full = rule.gradient == StiffnessGradient::Full;
     let held_wanted = block.energy.wanted()
         || (block.stress.wanted() && !full)
@@ -127,9 +126,7 @@ pub(super) fn answer<T: Real, L: Lookup<T>>(lookup: &L, rule: Rule, block: &mut 
     while start < n {
         for (held, row) in g.iter_mut().zip([guu, gvv, guv]) {
             let given = piece(row, start, &mut spare);
-            for i in 0..CHUNK {
-                held[i] = clamp(given[i], -limit, limit);
-            }
+            held.copy_from_slice(given);
         }
         if held_wanted {
             lookup.stiffness(&g, &mut constants);

@@ -24,11 +24,12 @@ pub use spec::{
     BendingLookup, EdgeLength, Form, MaterialMeasuredSpec, Preset, StiffnessGradient, StretchLookup, Switches,
 };
 
+use crate::bounds::{STRAIN_LIMITS, limit};
 use bending::{BendCurves, hinge_by_table};
 use caphy_core::material::{HingeCall, HingeLength, MaterialDescription, MaterialModel, MaterialOutputs, MembraneCall};
 use caphy_core::params::{Parameter, check_values};
 use caphy_core::units::KilogramPerSquareMetre;
-use caphy_core::{Error, Result};
+use caphy_core::{Error, Result, strain_limit};
 use membrane::Rule;
 use parameters::Entries;
 use point::{PointLookup, membrane_by_point};
@@ -120,17 +121,17 @@ impl MaterialModel for MaterialMeasured {
         match call {
             MembraneCall::F32(block) => {
                 block.check(PARAMETERS)?;
-                match &self.table {
+                strain_limit::within(limit::<f32>(), block, |block| match &self.table {
                     Some(table) => membrane_by_table(table.single(), rule, block),
                     None => membrane_by_point(PointLookup::new(self.stretching()), rule, block),
-                }
+                });
             }
             MembraneCall::F64(block) => {
                 block.check(PARAMETERS)?;
-                match &self.table {
+                strain_limit::within(limit::<f64>(), block, |block| match &self.table {
                     Some(table) => membrane_by_table(table.double(), rule, block),
                     None => membrane_by_point(PointLookup::new(self.stretching()), rule, block),
-                }
+                });
             }
         }
         Ok(())
@@ -148,6 +149,10 @@ impl MaterialModel for MaterialMeasured {
             }
         }
         Ok(())
+    }
+
+    fn strain_limits(&self) -> Option<[f64; 2]> {
+        Some(STRAIN_LIMITS)
     }
 
     fn parameters(&self) -> Vec<Parameter> {

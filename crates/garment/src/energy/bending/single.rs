@@ -1,6 +1,6 @@
 //! Bending energy of one pose, hinges in lanes.
 
-use super::{Bending, CHUNK, Element, Input, KEPT, MAX_LANES, forces, geometry};
+use super::{Bending, CHUNK, Element, Input, KEPT, MAX_LANES, SHARE, fade_forces, forces, geometry};
 use crate::energy::single::{Single, SingleTerm, add_lane, check_single, gathered, lane_sum};
 use caphy_core::material::HingeLength;
 use caphy_core::{Error, Result, simd_kernel};
@@ -33,9 +33,10 @@ impl SingleTerm for Bending<f64> {
                 self.ask(&facts, gradient.is_some(), input, stiffness, by_angle, by_length)
                     .map_err(|e| self.locate_single(e, b, batch.len()))?;
             }
-            sum(batch, weight, input, stiffness, &mut energy);
+            sum(batch, weight, input, kept, stiffness, &mut energy);
             if let Some(gradient) = gradient.as_deref_mut() {
-                scatter(batch, length_flows, weight, input, kept, stiffness, (by_angle, by_length), gradient);
+                let slopes = (&by_angle[..], &by_length[..]);
+                scatter(batch, length_flows, weight, pose.positions, input, kept, stiffness, slopes, gradient);
             }
         }
         check_single("bending", pose.positions, lane_sum(&energy))
@@ -78,7 +79,7 @@ impl Buffers {
 }
 
 simd_kernel! {
-    /// Angle and length of each hinge, its rest quantities, and what [`scatter`] needs to `kept` `[group][11][lane]`.
+    /// Angle and length of each hinge, its rest quantities, and what [`scatter`] needs to `kept` `[group][12][lane]`.
     fn measure<T>(batch: &[Element<T>], current: bool, x: &[T], input: &mut Input<T>, kept: &mut [T]) {
         let lanes = T::LANES;
         debug_assert!(CHUNK.is_multiple_of(lanes) && batch.len().is_multiple_of(lanes));
@@ -109,17 +110,25 @@ simd_kernel! {
 
 simd_kernel! {
     /// Adds Σ k l²/(8A)(τ − τ_T)² per lane (Eq. 7).
-    fn sum<T>(batch: &[Element<T>], weight: T, input: &Input<T>, stiffness: &[T], energy: &mut [f64; MAX_LANES]) {
+    fn sum<T>(
+        batch: &[Element<T>],
+        weight: T,
+        input: &Input<T>,
+        kept: &[T],
+        stiffness: &[T],
+        energy: &mut [f64; MAX_LANES],
+    ) {
         let lanes = T::LANES;
         for (g, group) in batch.chunks_exact(lanes).enumerate() {
             let at = g * lanes;
+            let share = &kept[at * KEPT + SHARE * lanes..][..lanes];
             let (angle, rest, length) =
                 (&input.angle[at..][..lanes], &input.angle_rest[at..][..lanes], &input.length[at..][..lanes]);
             let (area, k) = (&input.area[at..][..lanes], &stiffness[at..][..lanes]);
             for l in 0..lanes {
                 let fold = angle[l] - rest[l];
                 let factor = weight * group[l].weight / (T::of(8.0) * area[l]);
-                energy[l] += (factor * k[l] * length[l] * length[l] * fold * fold).to_f64();
+                energy[l] += (factor * k[l] * length[l] * length[l] * fold * fold * share[l]).to_f64();
             }
         }
     }
@@ -131,6 +140,7 @@ simd_kernel! {
         batch: &[Element<T>],
         length_flows: bool,
         weight: T,
+        x: &[T],
         input: &Input<T>,
         kept: &[T],
         stiffness: &[T],
@@ -148,13 +158,26 @@ simd_kernel! {
             let kept = &kept[at * KEPT..][..KEPT * lanes];
             let mut turn = [T::zero(); MAX_LANES];
             let mut pull = [T::zero(); MAX_LANES];
+            let share = &kept[SHARE * lanes..][..lanes];
+            let mut needle = false;
             for l in 0..lanes {
                 let fold = angle[l] - rest[l];
+                needle |= share[l] != T::one();
                 let factor = weight * group[l].weight / (T::of(8.0) * area[l]);
                 turn[l] = factor * length[l] * length[l] * fold * (k[l] + k[l] + by_angle[l] * fold);
-                pull[l] = flow * factor * fold * fold * length[l] * (k[l] + k[l] + by_length[l] * length[l]);
+                pull[l] = flow * share[l] * factor * fold * fold * length[l] * (k[l] + k[l] + by_length[l] * length[l]);
             }
-            let rows = forces(&turn, &pull, kept);
+            let mut rows = forces(&turn, &pull, kept);
+            if needle {
+                let mut whole = [T::zero(); MAX_LANES];
+                for l in 0..lanes {
+                    let fold = angle[l] - rest[l];
+                    let factor = weight * group[l].weight / (T::of(8.0) * area[l]);
+                    whole[l] = factor * k[l] * length[l] * length[l] * fold * fold;
+                }
+                let x: [_; 4] = std::array::from_fn(|v| gathered(group, x, |h| h.vertices[v]));
+                fade_forces([&x[0][..], &x[1], &x[2], &x[3]], &whole, &mut rows);
+            }
             for (l, hinge) in group.iter().enumerate() {
                 for (vertex, row) in hinge.vertices.iter().zip(&rows) {
                     add_lane(gradient, *vertex, row, l);

@@ -1,0 +1,140 @@
+//! What the scene plan saves on a T-shirt over a body of SMPL-X's size: bodies posed and nearest vertices searched, whole and
+//! pruned; inputs of the net; terms that are off.
+//!
+//! `CAPHY_SHARED=… cargo bench --bench plan`; needs `data/body/anny_smplx_layout.npz` in that folder.
+
+use caphy::config::TrainConfig;
+use caphy::garment::FittedGarment;
+use caphy::inputs;
+use caphy::plugins::{Kind, PluginTable, Plugins};
+use caphy::track::{BodyTrack, Reach};
+use caphy::trainer::{Batch, BatchKind, GarmentLearner, MotionFrames, ScanFrames, untrained};
+use caphy_bodymodel::procedural_motion::{MotionKind, procedural_clip};
+use caphy_core::Vec3;
+use caphy_core::body::{BodyModel, BodyParameters};
+use caphy_core::lanes::Frames;
+use caphy_garment::energy::{ScanCloud, nearest_body_vertices};
+use caphy_garment::skinning::WeightOptions;
+use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
+use criterion::{Criterion, criterion_group, criterion_main};
+use std::hint::black_box;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+fn plan(c: &mut Criterion) {
+    let Some(shared) = std::env::var_os("CAPHY_SHARED").map(PathBuf::from) else {
+        eprintln!("SKIPPED: CAPHY_SHARED does not say where data/body/anny_smplx_layout.npz is");
+        return;
+    };
+    let file = shared.join("data/body/anny_smplx_layout.npz");
+    let plugins = Plugins::new().expect("linked plugins");
+    let body: Arc<dyn BodyModel> =
+        Arc::from(inputs::body(&file.display().to_string(), &plugins).expect("a body of SMPL-X's size"));
+    let subject = BodyParameters::rest(body.describe().joints.len(), &[]);
+    let rest = BodyRest::from_model(&*body, &subject).expect("a body at rest");
+    let skin = rest.mesh.clone();
+    let style = UpperStyle { sleeve_length: 0.4, body_length: 0.5, looseness: 0.02, neckline: 0.3 };
+    let template = Tailor::new(rest).and_then(|t| t.generate(&Style::Upper(style), 0.0154)).expect("a shirt");
+    let shirt = FittedGarment::new(template, &skin.vertices, &body.describe().weights, &WeightOptions::default())
+        .expect("weights");
+    let clip = procedural_clip(MotionKind::Walk, 1, 4.0, 30.0).expect("a clip");
+    let frames: Vec<usize> = (0..5).flat_map(|t| (0..16).map(move |w| 7 * w + t)).collect();
+    let reach = |distance: f64| Reach::new(&skin, &[&shirt.mesh.vertices], distance).expect("a reachable body");
+    let (near, whole) = (reach(0.12), reach(10.0));
+    println!(
+        "shirt {} vertices, body {} of {} vertices in contact",
+        shirt.mesh.vertices.len(),
+        near.vertices.len(),
+        whole.vertices.len()
+    );
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+    let mut garment = Frames::<f32>::zeros(5, shirt.mesh.vertices.len(), 16);
+    let mut group = c.benchmark_group("80 frames, one thread");
+    group.sample_size(10);
+    for (name, reach) in [("whole body", &whole), ("planned part", &near)] {
+        // A limit of 0: bodies are posed whenever they are asked for.
+        let track = BodyTrack::within(0, &body, &subject, reach, &clip.poses).expect("posed bodies");
+        for (i, &frame) in frames.iter().enumerate() {
+            let posed = shirt.skinned(&track.transforms[frame]).expect("a posed shirt");
+            garment.set_frame(i / 16, i % 16, &posed).expect("a frame");
+        }
+        let (mut positions, mut normals) =
+            (Frames::<f32>::zeros(5, track.vertices(), 16), Frames::<f32>::zeros(5, track.vertices(), 16));
+        group.bench_function(format!("bodies posed, {name}"), |b| {
+            b.iter(|| pool.install(|| track.gather_into(&frames, &mut positions, &mut normals).expect("bodies")));
+        });
+        group.bench_function(format!("nearest vertex, {name}"), |b| {
+            b.iter(|| pool.install(|| black_box(nearest_body_vertices(&garment, &positions).expect("pairs"))));
+        });
+        let contact = reach.contact(&skin, &shirt).expect("a contact map");
+        let mut nearest = Vec::new();
+        group.bench_function(format!("contact map, {name}"), |b| {
+            b.iter(|| pool.install(|| contact.nearest_into(&garment, &positions, &mut nearest).expect("pairs")));
+        });
+    }
+    group.finish();
+    steps(c, &pool, &plugins, &body, &subject, &skin, &shirt, [&near, &whole], &clip.poses);
+}
+
+/// Whole steps, planned and not.
+fn steps(
+    c: &mut Criterion,
+    pool: &rayon::ThreadPool,
+    plugins: &Plugins,
+    body: &Arc<dyn BodyModel>,
+    subject: &BodyParameters,
+    skin: &caphy_core::TriMesh,
+    shirt: &FittedGarment,
+    [near, whole]: [&Reach; 2],
+    poses: &[caphy_core::pose::Pose],
+) {
+    let (config, path) = (TrainConfig { lead_in: 0, ..TrainConfig::default() }, Path::new("bench.toml"));
+    let net = PluginTable::parse(plugins, Kind::Net, path, "type = \"gru\"").expect("a net");
+    let fabric = PluginTable::parse(plugins, Kind::Material, path, "type = \"measured\"\nfabric = \"gray-interlock\"");
+    let fabric = fabric.expect("a fabric's table");
+    let batch = Batch {
+        frames: (0..5).flat_map(|t| (0..16).map(move |w| 7 * w + t)).collect(),
+        windows: 16,
+        kind: BatchKind::Windows,
+    };
+    let mut group = c.benchmark_group("training step, one thread");
+    group.sample_size(10);
+    let no_contact = TrainConfig {
+        weights: caphy::config::TermWeights { collision: 0.0.into(), ..Default::default() },
+        ..config.clone()
+    };
+    for (name, reach, config) in
+        [("whole body", whole, &config), ("planned part", near, &config), ("contact off", near, &no_contact)]
+    {
+        let count = poses.len();
+        let motion = MotionFrames {
+            track: BodyTrack::within(0, body, subject, reach, poses).expect("bodies"),
+            starts: (0..count - 5).collect(),
+            has_before: (0..count).map(|i| i > 0).collect(),
+            fps: 30.0,
+        };
+        let scans = ScanFrames {
+            track: Arc::new(BodyTrack::new(&**body, subject, reach, &poses[..1]).expect("a body")),
+            clouds: vec![ScanCloud::new("bench", &[Vec3::zeros()]).expect("a cloud")],
+            visible: vec![true; shirt.mesh.vertices.len()],
+        };
+        let first = untrained(shirt, body.describe(), &net, config, &motion, &scans.track, 1).expect("a net");
+        let contact = reach.contact(skin, shirt).expect("a contact map");
+        let material = Arc::from(fabric.material("material").expect("a fabric"));
+        let mut learner =
+            GarmentLearner::new(shirt, &first, material, &net, config, &motion, &scans, contact).expect("a learner");
+        group.bench_function(name, |b| {
+            b.iter(|| {
+                pool.install(|| {
+                    let pass = learner.forward(&batch).expect("a pass");
+                    learner.backward(&pass).expect("a gradient");
+                    black_box(learner.step(1e-9, 1.0).expect("a step"))
+                })
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, plan);
+criterion_main!(benches);
