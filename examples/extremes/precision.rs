@@ -88,8 +88,8 @@ fn errors(rest: &GarmentRest, material: &Arc<dyn MaterialModel>, exact: &[Vec3])
     let bending =
         (Bending::<f32>::new(rest, material.clone(), angle), Bending::<f64>::new(rest, material.clone(), angle));
     let both = |single: &dyn EnergyTerm<f32>, double: &dyn EnergyTerm<f64>| -> Outcome<([f64; 2], [f64; 2])> {
-        let f32s = forces(single, &[rounded.clone()])?;
-        let (alike, truth) = (forces(double, &[rounded.clone()])?, forces(double, &[exact.to_vec()])?);
+        let f32s = forces(single, std::slice::from_ref(&rounded))?;
+        let (alike, truth) = (forces(double, std::slice::from_ref(&rounded))?, forces(double, &[exact.to_vec()])?);
         let size = truth.iter().map(|f| f.norm_squared()).sum::<f64>().sqrt();
         Ok(([relative(&f32s, &alike), relative(&f32s, &truth)], [size, relative(&f32s, &truth) * size]))
     };
