@@ -16,6 +16,7 @@ pub mod fixed_shape;
 pub mod garment;
 pub mod inference;
 pub mod inputs;
+mod judge;
 pub mod manifest;
 pub mod measure;
 pub mod motion;
@@ -37,8 +38,10 @@ pub mod simulate;
 pub mod stage;
 pub mod synth;
 pub mod track;
+pub mod tradeoff;
 pub mod trainer;
 pub mod training;
+mod variants;
 
 /// The worked examples of CONTRIBUTING.md, compiled and run.
 #[cfg(doctest)]

@@ -10,6 +10,7 @@ pub(crate) mod run;
 pub(crate) mod show;
 pub(crate) mod simulate;
 pub(crate) mod synth;
+pub(crate) mod tradeoff;
 pub(crate) mod train;
 pub(crate) mod views;
 

@@ -32,3 +32,5 @@ mod scans;
 mod standin;
 /// Scans of generated people.
 mod synth;
+/// What knobs cost and buy.
+mod tradeoff;
