@@ -200,7 +200,8 @@ pub fn costs(axes: &Axes<'_>, clouds: &[Cloud]) -> String {
     svg
 }
 
-/// Logarithms of round numbers inside a range of logarithms: powers of ten where there are several, else 1, 2, 5 of each.
+/// Logarithms of round numbers inside a range of logarithms: powers of ten where there are several, else 1, 2, 5 of each, or whatever
+/// is round in a narrow range.
 fn decades(low: f64, high: f64) -> Vec<f64> {
     let (first, last) = (low.floor() as i32, high.ceil() as i32);
     let inside = |digits: &[f64]| -> Vec<f64> {
@@ -208,7 +209,14 @@ fn decades(low: f64, high: f64) -> Vec<f64> {
         all.filter(|v| (low..=high).contains(v)).collect()
     };
     let powers = inside(&[1.0]);
-    if powers.len() >= 3 { powers } else { inside(&[1.0, 2.0, 5.0]) }
+    let few = inside(&[1.0, 2.0, 5.0]);
+    if powers.len() >= 3 {
+        powers
+    } else if few.len() >= 2 {
+        few
+    } else {
+        ticks(10f64.powf(low), 10f64.powf(high)).into_iter().filter(|v| *v > 0.0).map(f64::log10).collect()
+    }
 }
 
 /// Round numbers inside a range, about five of them; on a logarithmic axis of the logarithms, so that decades come out.
@@ -271,6 +279,7 @@ mod tests {
         assert!(svg.contains("a&lt;: 1, 8") && !svg.contains("NaN"), "{svg}");
         assert_eq!(decades(-0.1, 2.2), [0.0, 1.0, 2.0]);
         assert_eq!(decades(0.1, 0.8).len(), 2);
+        assert!(decades(12f64.log10(), 12.5f64.log10()).len() >= 4);
     }
 
     #[test]

@@ -147,7 +147,8 @@ impl Tradeoff {
         Ok(opened)
     }
 
-    /// Measures what is not measured yet and writes `tradeoff.json`, `tradeoff.txt` and `report.html`; `say` hears what begins.
+    /// Measures what is not measured yet and writes `tradeoff.json`, `tradeoff.txt` and `report.html` after every point, so that they
+    /// can be looked at before all is done; `say` hears what begins.
     ///
     /// # Errors
     /// What runs and the solver give.
@@ -196,18 +197,21 @@ impl Tradeoff {
             let row = bench.row("", "as configured", Acts::Net, &[], repeat, &yardstick)?;
             teller.done(POINT, row.1);
             results.add(row.0);
+            results.write(&self.folder)?;
         }
         for (knob, level) in levels.iter().filter(|(knob, _)| knob.acts != Acts::Preprocess) {
             teller.say(&format!("{} {}", knob.name, level.name));
             let row = bench.row(knob.name, &level.name, knob.acts, &level.set, 0, &yardstick)?;
             teller.done(POINT, row.1);
             results.add(row.0);
+            results.write(&self.folder)?;
         }
         for method in search::SOLVERS {
             teller.say(&format!("the solver, {}", method.name));
             let (row, now) = bench.solver(method, &yardstick)?;
             teller.done(SOLVER, now);
             results.solver.push(row);
+            results.write(&self.folder)?;
         }
         let mut left = combinations;
         for direction in search::Direction::ALL {
@@ -219,9 +223,10 @@ impl Tradeoff {
                 teller.done(POINT, row.1);
                 left = left.saturating_sub(1);
                 results.add(row.0);
+                results.write(&self.folder)?;
             }
         }
-        results.finish(&yardstick)?;
+        results.complete = true;
         results.write(&self.folder)?;
         let computed = teller.computed.lock().map_or(0, |n| *n);
         Ok(Ended { results, folder: self.folder.clone(), computed })

@@ -18,7 +18,6 @@ pub(super) struct Method {
 pub(super) const SOLVERS: &[Method] = &[
     Method { name: "skinning alone", tolerance_n: None, coarse: false },
     Method { name: "1e-2 N, coarse template", tolerance_n: Some(1e-2), coarse: true },
-    Method { name: "1e-5 N, coarse template", tolerance_n: Some(1e-5), coarse: true },
     Method { name: "1e-2 N", tolerance_n: Some(1e-2), coarse: false },
     Method { name: "1e-3 N", tolerance_n: Some(1e-3), coarse: false },
     Method { name: "1e-5 N", tolerance_n: Some(1e-5), coarse: false },

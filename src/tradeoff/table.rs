@@ -105,6 +105,8 @@ pub struct Results {
     pub machine: String,
     /// Busyness of the machine in the end.
     pub machine_after: String,
+    /// Whether everything was measured, or the sweep still goes on.
+    pub complete: bool,
     /// Whether trainings are as long as the experiment's own.
     pub full: bool,
     /// Vertices of the yardstick.
@@ -143,6 +145,7 @@ impl Results {
             scene,
             machine,
             machine_after: String::new(),
+            complete: false,
             full: sweep.full,
             yardstick_vertices: yardstick.vertices,
             yardstick_unconverged: yardstick.unconverged,
@@ -176,8 +179,8 @@ impl Results {
         let candidates = self.rows.iter().filter(|r| !r.of_fabric && !std::ptr::eq(*r, row));
         candidates.map(costs).any(|other| (0..3).all(|i| other[i] <= own[i]) && other != own)
     }
-    /// Front, presets, times to quality: what all points together say.
-    pub(super) fn finish(&mut self, _: &Yardstick) -> Result<()> {
+    /// Front, presets, times to quality: what all points so far say together.
+    fn conclude(&mut self) {
         let own = self.own().cloned();
         if let Some(own) = &own {
             let target = last_level(&own.measured.curve);
@@ -208,10 +211,10 @@ impl Results {
             self.solver.iter().map(|r| r.frame_ms).chain(self.rows.iter().map(|r| r.measured.frame_ms)).collect();
         self.span = [times.iter().copied().fold(f64::INFINITY, f64::min), times.iter().copied().fold(0.0, f64::max)];
         self.machine_after = cost::machine();
-        Ok(())
     }
-    /// Writes everything into a folder.
-    pub(super) fn write(&self, folder: &Path) -> Result<()> {
+    /// Writes everything, with what follows from it, into a folder.
+    pub(super) fn write(&mut self, folder: &Path) -> Result<()> {
+        self.conclude();
         let json = serde_json::to_vec_pretty(self)
             .map_err(|e| Error::numerics("tradeoff.json", e.to_string(), "report this as a defect"))?;
         write_atomically(&folder.join("tradeoff.json"), &json)?;
@@ -341,6 +344,9 @@ impl Results {
             ),
             format!("The dearest frame costs {} times the cheapest.", number(most / least)),
         ];
+        if !self.complete {
+            out.push("The sweep is not complete.".into());
+        }
         if !self.full {
             out.push("Trainings are shorter than the experiment's own: knobs are compared at equal, few rounds. `--full` takes its own.".into());
         }
