@@ -249,7 +249,7 @@ impl Tradeoff {
     fn subject(&self, bench: &point::Bench<'_>, teller: &Teller<'_>) -> Result<Preprocessed> {
         if matches!(self.config.subject, SubjectConfig::Synthetic(_)) {
             teller.say("scans");
-            self.open_run("subject", &[], &bench.plugins)?.until("synth")?.all()?;
+            self.open_run("subject", &[], bench.plugins)?.until("synth")?.all()?;
         }
         teller.say(if self.subject_stage() == "dress" { "templates" } else { "labels, bodies and templates" });
         bench.first_subject()
