@@ -19,8 +19,8 @@ pub struct BudgetConfig {
     pub train_s: Option<f64>,
     /// `"preview"`, `"balanced"` or `"reference"`.
     pub preset: Option<Preset>,
-    /// A `tradeoff.json`, relative to the configuration's folder unless absolute. Default: the front that was measured on the
-    /// quickstart and is part of the program.
+    /// A `tradeoff.json`, relative to the configuration's folder unless absolute. Default: the front of `docs/trade.md`, which is part
+    /// of the program.
     pub front: Option<PathBuf>,
 }
 

@@ -54,18 +54,18 @@ pub(super) fn peak_mib() -> Option<f64> {
     Some(line.trim().strip_suffix("kB")?.trim().parse::<f64>().ok()? / 1024.0)
 }
 
-/// The machine in words: model, processors, and how busy it is.
+/// Processes that run or wait, mean of the last minute.
+pub(super) fn load() -> Option<f64> {
+    std::fs::read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
+}
+
+/// The machine in words: model and processors.
 pub(super) fn machine() -> String {
-    let read = |path| std::fs::read_to_string(path).unwrap_or_default();
-    let info = read("/proc/cpuinfo");
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = info.lines().find_map(|l| l.strip_prefix("model name")?.split_once(": ")).map(|m| m.1);
     let processors = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let load = read("/proc/loadavg").split_whitespace().next().map(|l| format!(", load {l}")).unwrap_or_default();
-    format!(
-        "{}, {processors} processors, {} threads{load}",
-        model.unwrap_or(std::env::consts::ARCH),
-        rayon::current_num_threads()
-    )
+    let threads = rayon::current_num_threads();
+    format!("{}, {processors} processors, {threads} threads", model.unwrap_or(std::env::consts::ARCH))
 }
 
 #[cfg(test)]

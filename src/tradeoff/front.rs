@@ -92,7 +92,7 @@ fn cheapest<'a>(points: impl Iterator<Item = &'a Candidate>) -> Option<&'a Candi
     points.min_by(|a, b| a.train_s.total_cmp(&b.train_s))
 }
 
-/// The front that is part of the program: the quickstart's, see `docs/trade.md`.
+/// The front that is part of the program: the one of `docs/trade.md`.
 const EMBEDDED: &str = include_str!("../../docs/trade/front.json");
 
 impl Front {

@@ -1,6 +1,6 @@
 //! One point: a subject, nets trained on it, what they cost and how far they are from the solver.
 
-use super::cost::{Stopwatch, peak_mib, reset_peak};
+use super::cost::{Stopwatch, load, peak_mib, reset_peak};
 use super::error::Errors;
 use super::knobs::{self, Acts, is_of_subject};
 use super::preprocessed::Preprocessed;
@@ -10,8 +10,10 @@ use super::yardstick::{Yardstick, scene_of, settings, solve};
 use super::{Tradeoff, begin};
 use crate::artifact;
 use crate::config::{Config, Setting};
+use crate::files::ProjectFiles;
 use crate::inference::{Play, Player, play};
 use crate::plugins::Plugins;
+use crate::runner::input_hashes;
 use crate::scene::Scene;
 use crate::stage::preprocess::Subject;
 use crate::stage::train::Nets;
@@ -35,10 +37,12 @@ pub struct Measured {
     pub train_wall_s: f64,
     /// Processor time of a training step, mean over all nets' steps [ms].
     pub step_ms: f64,
-    /// Processor time of a frame of all garments: net and skinning, on one thread [ms].
+    /// Time of a frame of all garments: net and skinning, on one thread, the least of many plays [ms].
     pub frame_ms: f64,
     /// Highest memory of the process while it trained [MiB]; the sweep's own is in it.
     pub peak_mib: Option<f64>,
+    /// Processes that the machine had running or waiting after training, mean of a minute.
+    pub load: Option<f64>,
     /// Errors on the motion of the sweep.
     pub error: Errors,
     /// Errors on other motion.
@@ -47,13 +51,16 @@ pub struct Measured {
     pub curve: Vec<(f64, f64)>,
 }
 
+/// Raised when a point is measured otherwise.
+const VERSION: u32 = 2;
+
 /// Makes points.
 pub(super) struct Bench<'a> {
     pub(super) sweep: &'a Tradeoff,
     pub(super) plugins: &'a Plugins,
 }
 
-/// Least processor time over which a frame's time is measured [s]: thirty of the clock's ticks.
+/// Processor time for which frames are played to measure one [s].
 const LEAST: f64 = 0.3;
 
 impl Bench<'_> {
@@ -166,7 +173,8 @@ impl Bench<'_> {
         let name = format!("{}-{repeat}", self.name("point", &config)?);
         let folder = self.folder(&name);
         let (subject, subject_hash) = self.read_subject(&subject_folder)?;
-        let key = artifact::hash(format!("{}{subject_hash}{name}", yardstick.hash).as_bytes());
+        let inputs = contents(&self.sweep.files, &config.motion)?;
+        let key = artifact::hash(format!("{VERSION}{}{subject_hash}{name}{inputs}", yardstick.hash).as_bytes());
         let path = folder.join("measured.caphy");
         let fixed = knobs::fixed(&config)?.iter().map(Setting::to_string).collect();
         let row = |measured| Row::new(knob, level, acts, set, fixed, repeat, measured);
@@ -198,6 +206,7 @@ impl Bench<'_> {
             step_ms: 1e3 * spent.processor_s / steps.max(1) as f64,
             frame_ms: frame_ms(&config, &scene, &subject, &nets, yardstick)?,
             peak_mib,
+            load: load(),
             error: self.errors(&config, &scene, &subject, &nets, yardstick, 0)?,
             check: self.errors(&config, &scene, &subject, &nets, yardstick, 1)?,
             curve: curve(&nets),
@@ -244,7 +253,7 @@ impl Bench<'_> {
         };
         let name = self.subject_folder(&set)?;
         let (subject, hash) = self.read_subject(&name)?;
-        let key = artifact::hash(format!("{}{hash}{method:?}", yardstick.hash).as_bytes());
+        let key = artifact::hash(format!("{VERSION}{}{hash}{method:?}", yardstick.hash).as_bytes());
         let path = self.folder("solver").join(format!("{}.caphy", &key[..12]));
         if let Some((row, _)) = artifact::load::<SolverRow>(&path, "solver", &key)? {
             return Ok((row, false));
@@ -264,15 +273,14 @@ impl Bench<'_> {
                 None => {
                     let track = scene.track(motion.judged())?;
                     let watch = Stopwatch::start();
-                    let mut times = 0.0;
-                    let mut skinned = Vec::new();
-                    while times == 0.0 || watch.read().processor_s < LEAST {
+                    let (mut least, mut skinned) = (f64::INFINITY, Vec::new());
+                    while watch.read().processor_s < LEAST {
+                        let play = Stopwatch::start();
                         skinned = track.transforms.iter().map(|t| garment.skinned(t)).collect::<Result<_>>()?;
-                        times += 1.0;
+                        least = least.min(play.read().wall_s);
                     }
                     // Per simulated frame, as the others.
-                    let frames = motion.simulated().len() as f64 / motion.judged().len() as f64;
-                    seconds += watch.read().processor_s / times * frames;
+                    seconds += least * motion.simulated().len() as f64 / motion.judged().len() as f64;
                     (skinned, None)
                 }
             };
@@ -290,26 +298,35 @@ impl Bench<'_> {
     }
 }
 
+/// Hashes of the files that a part of a configuration names, one after the other.
+pub(super) fn contents(files: &ProjectFiles, part: &impl Serialize) -> Result<String> {
+    let value = serde_json::to_value(part)
+        .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
+    Ok(input_hashes(files, &[value])?.into_iter().map(|input| input.1).collect())
+}
+
 fn remove(path: &Path) -> Result<()> {
     if path.exists() { std::fs::remove_file(path).map_err(|e| Error::io(path, "remove", e)) } else { Ok(()) }
 }
 
-/// Processor time of one frame of all garments [ms].
+/// Time of one frame of all garments [ms]: the least over many plays of the clip, each garment on one thread. A play takes less than
+/// a tick of the processor's clock, and what else runs on the machine only makes it longer.
 fn frame_ms(config: &Config, scene: &Scene, subject: &Subject, nets: &Nets, yardstick: &Yardstick) -> Result<f64> {
     let track = scene.track(&yardstick.motions[0].poses)?;
     let mut total = 0.0;
     for (garment, trained) in subject.garments.iter().zip(&nets.garments) {
         let mut player = Player::new(garment, trained, &config.net)?;
         let watch = Stopwatch::start();
-        let mut frames = 0usize;
-        while frames == 0 || watch.read().processor_s < LEAST {
+        let mut least = f64::INFINITY;
+        while watch.read().processor_s < LEAST {
+            let play = Stopwatch::start();
             for frame in 0..track.len() {
                 let previous = frame.checked_sub(1).map(|before| &track.poses[before]);
                 std::hint::black_box(player.frame(&track.poses[frame], previous, &track.transforms[frame])?);
             }
-            frames += track.len();
+            least = least.min(play.read().wall_s);
         }
-        total += 1e3 * watch.read().processor_s / frames as f64;
+        total += 1e3 * least / track.len() as f64;
     }
     Ok(total)
 }

@@ -1,6 +1,5 @@
 //! Results as text and JSON.
 
-use super::cost;
 use super::error::Errors;
 use super::front::{Candidate, Front, Pick, Preset};
 use super::knobs::Acts;
@@ -101,10 +100,8 @@ pub struct SolverRow {
 pub struct Results {
     /// The experiment.
     pub scene: String,
-    /// The machine, as it was when the sweep began.
+    /// The machine.
     pub machine: String,
-    /// Busyness of the machine in the end.
-    pub machine_after: String,
     /// Whether everything was measured, or the sweep still goes on.
     pub complete: bool,
     /// Whether trainings are as long as the experiment's own.
@@ -144,7 +141,6 @@ impl Results {
             },
             scene,
             machine,
-            machine_after: String::new(),
             complete: false,
             full: sweep.full,
             yardstick_vertices: yardstick.vertices,
@@ -210,7 +206,6 @@ impl Results {
         let times: Vec<f64> =
             self.solver.iter().map(|r| r.frame_ms).chain(self.rows.iter().map(|r| r.measured.frame_ms)).collect();
         self.span = [times.iter().copied().fold(f64::INFINITY, f64::min), times.iter().copied().fold(0.0, f64::max)];
-        self.machine_after = cost::machine();
     }
     /// Writes everything, with what follows from it, into a folder.
     pub(super) fn write(&mut self, folder: &Path) -> Result<()> {
@@ -329,10 +324,15 @@ impl Results {
         let [least, most] = self.span;
         let [floor, other] = self.floors.map(|f| number(f.surface_mm));
         let [open, all] = self.yardstick_unconverged;
+        let loads = self.rows.iter().filter_map(|r| r.measured.load);
         let mut out = vec![
             format!(
-                "Machine: {} at the start, {} in the end. Times are processor times unless they say wall.",
-                self.machine, self.machine_after
+                "Machine: {}, with {} processes running or waiting while points were trained. Times are processor times unless they say wall; a frame of nets or skinning takes the least time of many plays.",
+                self.machine,
+                match (loads.clone().reduce(f64::min), loads.reduce(f64::max)) {
+                    (Some(least), Some(most)) => format!("{} to {}", number(least), number(most)),
+                    _ => "an unknown number of".into(),
+                }
             ),
             format!(
                 "Errors are distances between surfaces from the solver on {} vertices, over the floor: disturbed restarts of the solver lie {floor} mm from it ({other} mm on the other motion). In {open} of {all} of its frames forces did not come below the tolerance.",

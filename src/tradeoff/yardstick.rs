@@ -2,6 +2,7 @@
 
 use super::cost::{Spent, Stopwatch};
 use super::error::{Errors, Shapes, Yard};
+use super::point::contents;
 use crate::artifact;
 use crate::config::{ClipConfig, Config, TradeoffConfig};
 use crate::files::ProjectFiles;
@@ -178,6 +179,7 @@ impl Yardstick {
             config.evaluate.penetration_m,
         ))
         .map_err(|e| caphy_core::Error::numerics("yardstick", e.to_string(), "report this as a defect"))?;
+        let told = told + &contents(files, &clips)?;
         let solver = format!("{:?}{:?}", settings(config, wanted.tolerance_n), solver_forces(&config.train));
         let hash =
             artifact::hash(format!("{}{subject_hash}{told}{fabrics:?}{solver}", env!("CARGO_PKG_VERSION")).as_bytes());
