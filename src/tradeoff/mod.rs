@@ -272,7 +272,7 @@ impl Tradeoff {
                 (subject.join(first), scans.list)
             }
             SubjectConfig::Scans(scans) => {
-                let list = crate::stage::scans::scan_list(&self.files, scans)?.list;
+                let list = crate::stage::scans::scan_list(&self.files, scans, self.config.run.seed)?.list;
                 (self.files.resolve(&scans.folder)?, list)
             }
         };
