@@ -16,6 +16,7 @@ pub mod fixed_shape;
 pub mod garment;
 pub mod inference;
 pub mod inputs;
+mod judge;
 pub mod manifest;
 pub mod measure;
 pub mod memory;
@@ -39,8 +40,10 @@ pub mod stage;
 pub mod stress;
 pub mod synth;
 pub mod track;
+pub mod tradeoff;
 pub mod trainer;
 pub mod training;
+mod variants;
 
 /// The worked examples of docs/plugins.md, compiled and run.
 #[cfg(doctest)]

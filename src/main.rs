@@ -30,6 +30,9 @@ enum Command {
     /// Run an experiment with parts of the method left out, and compare.
     #[command(after_help = command::ablation::EXAMPLES)]
     Ablation(command::ablation::Arguments),
+    /// Measure what every knob of an experiment costs and buys, against the reference solver.
+    #[command(after_help = command::tradeoff::EXAMPLES)]
+    Tradeoff(command::tradeoff::Arguments),
     /// Show what caphy has or reads, as tables and pictures.
     #[command(subcommand)]
     Show(command::show::What),
@@ -86,6 +89,7 @@ fn run(cli: &Cli) -> Result<ExitCode> {
     match &cli.command {
         Command::Run(arguments) => command::run::run(arguments, &mut plugins),
         Command::Ablation(arguments) => command::ablation::run(arguments, &plugins),
+        Command::Tradeoff(arguments) => command::tradeoff::run(arguments, &plugins),
         Command::Show(what) => command::show::run(what, &plugins),
         Command::Views(arguments) => command::views::run(arguments, &mut plugins),
         Command::Train(arguments) => command::train::run(arguments, &mut plugins),

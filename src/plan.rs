@@ -1,7 +1,7 @@
 //! The scene plan: what an experiment needs of everything that caphy can do. Derived once from configuration and data, printed by
 //! `caphy run --plan`, and obeyed: what is off is neither run nor allocated.
 
-use crate::config::{Config, Schedule, SubjectConfig};
+use crate::config::{Choice, Config, Schedule, SubjectConfig};
 use crate::garment::FittedGarment;
 use crate::memory::{MemoryNeed, Sizes, available, readable};
 use crate::scene::{REACH, Scene};
@@ -32,6 +32,8 @@ pub struct PlannedStage {
 /// Stages of an experiment in their order.
 #[derive(Debug, Clone, Serialize)]
 pub struct ScenePlan {
+    /// The point that the budget picked, and why; none without a budget.
+    pub budget: Option<String>,
     /// All stages.
     pub stages: Vec<PlannedStage>,
     /// What is known of the garments once the subject is there.
@@ -151,7 +153,8 @@ impl ScenePlan {
         }
         let shown: Vec<&'static str> = stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect();
         stages.push(PlannedStage { name: "report", needs: shown, off: None, done: false, again: false });
-        Self { stages, garments: Vec::new(), motion: None, scans: Vec::new(), available: available() }
+        let budget = config.choice.as_ref().map(Choice::text);
+        Self { budget, stages, garments: Vec::new(), motion: None, scans: Vec::new(), available: available() }
     }
 
     /// Narrows the plan to one stage and what it needs.
@@ -299,7 +302,8 @@ impl ScenePlan {
 
     /// The plan as text.
     pub fn text(&self) -> String {
-        let mut out = String::from("Stages\n");
+        let mut out = self.budget.as_ref().map_or(String::new(), |text| format!("Budget: {text}\n"));
+        out.push_str("Stages\n");
         for stage in &self.stages {
             let state = match (&stage.off, stage.done) {
                 (Some(why), _) => format!("off: {why}"),

@@ -175,6 +175,126 @@ impl Map<'_> {
     }
 }
 
+/// Points of one kind in a plot of errors against costs.
+pub struct Cloud {
+    /// Name in the legend.
+    pub name: String,
+    /// Cost, error, name of the point.
+    pub points: Vec<(f64, f64, String)>,
+}
+
+/// Errors against costs, both logarithmic, as an `<svg>` element: a mark per point that tells its name when pointed at, and the
+/// front of all points as a line of steps. Points without a positive cost and error are left out.
+pub fn costs(axes: &Axes<'_>, clouds: &[Cloud]) -> String {
+    let [left, right, top, bottom] = MARGIN;
+    let shown = |c: &Cloud| -> Vec<(f64, f64, String)> {
+        let good = c.points.iter().filter(|(x, y, _)| *x > 0.0 && *y > 0.0 && x.is_finite() && y.is_finite());
+        good.map(|(x, y, name)| (x.log10(), y.log10(), name.clone())).collect()
+    };
+    let clouds: Vec<(&str, Vec<(f64, f64, String)>)> = clouds.iter().map(|c| (c.name.as_str(), shown(c))).collect();
+    let all: Vec<(f64, f64)> = clouds.iter().flat_map(|c| &c.1).map(|p| (p.0, p.1)).collect();
+    let title = escape(axes.title);
+    let mut svg = format!(
+        "<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" class=\"plot\" role=\"img\"><title>{title}</title><text x=\"{left}\" y=\"20\" class=\"t\">{title}</text>"
+    );
+    if all.is_empty() {
+        svg.push_str("<text x=\"80\" y=\"150\">no data</text></svg>");
+        return svg;
+    }
+    let range = |pick: fn(&(f64, f64)) -> f64| {
+        let (lo, hi) =
+            all.iter().map(pick).fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
+        let room = (0.06 * (hi - lo)).max(0.04);
+        (lo - room, hi + room)
+    };
+    let ((x0, x1), (y0, y1)) = (range(|p| p.0), range(|p| p.1));
+    let px = |x: f64| left + (x - x0) / (x1 - x0) * (WIDTH - left - right);
+    let py = |y: f64| HEIGHT - bottom - (y - y0) / (y1 - y0) * (HEIGHT - top - bottom);
+    for y in decades(y0, y1) {
+        // Writing to a String cannot fail.
+        let _ = write!(
+            svg,
+            "<line x1=\"{left}\" x2=\"{r}\" y1=\"{yy:.1}\" y2=\"{yy:.1}\" class=\"g\"/><text x=\"{lx}\" y=\"{ty:.1}\" class=\"n e\">{}</text>",
+            number(10f64.powf(y)),
+            r = WIDTH - right,
+            yy = py(y),
+            lx = left - 6.0,
+            ty = py(y) + 4.0,
+        );
+    }
+    for x in decades(x0, x1) {
+        let by = HEIGHT - bottom + 16.0;
+        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{by}\" class=\"n m\">{}</text>", px(x), number(10f64.powf(x)));
+    }
+    // Cheapest first: a point belongs to the front when nothing cheaper is as good.
+    let mut rising = all.clone();
+    rising.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    let mut steps: Vec<(f64, f64)> = Vec::new();
+    for (x, y) in rising {
+        match steps.last() {
+            Some(&(_, best)) if y >= best => {}
+            Some(&(_, best)) => steps.extend([(x, best), (x, y)]),
+            None => steps.push((x, y)),
+        }
+    }
+    steps.extend(steps.last().map(|&(_, y)| (x1, y)));
+    let path: Vec<String> = steps.iter().map(|&(x, y)| format!("{:.1},{:.1}", px(x), py(y))).collect();
+    let _ =
+        write!(svg, "<polyline points=\"{}\" stroke=\"#999\" stroke-dasharray=\"4 3\" class=\"c\"/>", path.join(" "));
+    for (i, (name, points)) in clouds.iter().enumerate() {
+        let colour = COLOURS[i % COLOURS.len()];
+        for (x, y, what) in points {
+            let _ = write!(
+                svg,
+                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"4\" fill=\"{colour}\" fill-opacity=\"0.75\"><title>{}: {}, {}</title></circle>",
+                px(*x),
+                py(*y),
+                escape(what),
+                number(10f64.powf(*x)),
+                number(10f64.powf(*y)),
+            );
+        }
+        let ly = top + 10.0 + 17.0 * i as f64;
+        let _ = write!(
+            svg,
+            "<circle cx=\"{:.1}\" cy=\"{ly}\" r=\"4\" fill=\"{colour}\"/><text x=\"{:.1}\" y=\"{:.1}\" class=\"n\">{}</text>",
+            WIDTH - right + 16.0,
+            WIDTH - right + 26.0,
+            ly + 4.0,
+            escape(name),
+        );
+    }
+    let _ = write!(
+        svg,
+        "<text x=\"{:.1}\" y=\"{:.1}\" class=\"n m\">{}</text><text transform=\"translate(14 {:.1}) rotate(-90)\" class=\"n m\">{}</text></svg>",
+        left + (WIDTH - left - right) / 2.0,
+        HEIGHT - 8.0,
+        escape(axes.x),
+        top + (HEIGHT - top - bottom) / 2.0,
+        escape(axes.y),
+    );
+    svg
+}
+
+/// Logarithms of round numbers inside a range of logarithms: powers of ten where there are several, else 1, 2, 5 of each, or whatever
+/// is round in a narrow range.
+fn decades(low: f64, high: f64) -> Vec<f64> {
+    let (first, last) = (low.floor() as i32, high.ceil() as i32);
+    let inside = |digits: &[f64]| -> Vec<f64> {
+        let all = (first..=last).flat_map(|k| digits.iter().map(move |d| f64::from(k) + d.log10()));
+        all.filter(|v| (low..=high).contains(v)).collect()
+    };
+    let powers = inside(&[1.0]);
+    let few = inside(&[1.0, 2.0, 5.0]);
+    if powers.len() >= 3 {
+        powers
+    } else if few.len() >= 2 {
+        few
+    } else {
+        ticks(10f64.powf(low), 10f64.powf(high)).into_iter().filter(|v| *v > 0.0).map(f64::log10).collect()
+    }
+}
+
 /// Round numbers inside a range, about five of them; on a logarithmic axis of the logarithms, so that decades come out.
 fn ticks(low: f64, high: f64) -> Vec<f64> {
     let raw = (high - low) / 5.0;
@@ -221,6 +341,23 @@ pub fn escape(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn costs_show_their_front() {
+        let axes = Axes { title: "t", x: "s", y: "mm", log_y: true };
+        assert!(costs(&axes, &[]).contains("no data"));
+        let point = |x: f64, y: f64, name: &str| (x, y, name.to_string());
+        let points = vec![point(1.0, 8.0, "a<"), point(10.0, 9.0, "b"), point(100.0, 2.0, "c"), point(5.0, 0.0, "d")];
+        let svg = costs(&axes, &[Cloud { name: "nets".into(), points }]);
+        // Three points and the legend's; the front goes from the first down to the third and on.
+        assert_eq!(svg.matches("<circle").count(), 4);
+        let line = svg.split("<polyline points=\"").nth(1).and_then(|rest| rest.split('"').next()).unwrap();
+        assert_eq!(line.split(' ').count(), 4, "{line}");
+        assert!(svg.contains("a&lt;: 1, 8") && !svg.contains("NaN"), "{svg}");
+        assert_eq!(decades(-0.1, 2.2), [0.0, 1.0, 2.0]);
+        assert_eq!(decades(0.1, 0.8).len(), 2);
+        assert!(decades(12f64.log10(), 12.5f64.log10()).len() >= 4);
+    }
 
     #[test]
     fn plots_survive_nothing_constants_and_bad_values() {

@@ -2,12 +2,18 @@
 
 mod pace;
 
+pub(crate) use pace::words;
 pub use pace::{Pace, Work};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
+
+/// Prints a line that stays, like those of a stage.
+pub fn say(name: &str, line: &str) {
+    eprintln!("{name:>12} {line}");
+}
 
 /// Progress of one stage; safe to call from any thread.
 pub struct Progress {

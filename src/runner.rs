@@ -7,12 +7,12 @@ pub use difference::{Changed, Difference, compare};
 pub use replay::{Replayed, replay};
 
 use crate::artifact;
-use crate::config::{Config, PluginConfig, Setting, SubjectConfig};
+use crate::config::{Choice, Config, PluginConfig, Setting, SubjectConfig};
 use crate::files::ProjectFiles;
 use crate::manifest::{CONFIG, Manifest, Program, StageRecord};
 use crate::plan::ScenePlan;
 use crate::plugins::Plugins;
-use crate::progress::Progress;
+use crate::progress::{self, Progress};
 use crate::scene::Scene;
 use crate::stage::preprocess::Subject;
 use crate::stage::train::Nets;
@@ -105,7 +105,8 @@ impl Run {
     ) -> Result<Run> {
         let config = Config::read_set(config_path, settings, plugins)?;
         let mut run = Self::of(config, config_path.parent().unwrap_or(Path::new(".")), out)?;
-        run.manifest.set = settings.iter().map(Setting::to_string).collect();
+        let chosen = run.config.choice.iter().flat_map(|choice| choice.set.iter().cloned());
+        run.manifest.set = settings.iter().map(Setting::to_string).chain(chosen).collect();
         Ok(run)
     }
 
@@ -203,6 +204,9 @@ impl Run {
 
     /// Everything, from scans to the report.
     pub fn all(mut self) -> Result<Summary> {
+        if let Some(choice) = &self.config.choice {
+            progress::say("budget", &choice.text());
+        }
         let told = self.stages(false).map_err(|halt| match halt {
             Halt::Failed(error) => error,
             Halt::NotDone(stage) => Error::unsupported(stage, "a run that only plans"),
@@ -378,7 +382,9 @@ impl Run {
             timings: &timings,
         };
         // The list of exported files says nothing of what is in them, so that the report looks at the film, too.
-        let upstream = format!("{subject_hash}{hash}{scores_hash}{compared_hash}{film_hash}{export_hash}{scan_hash}");
+        let chosen = self.config.choice.as_ref().map(Choice::text).unwrap_or_default();
+        let upstream =
+            format!("{subject_hash}{hash}{scores_hash}{compared_hash}{film_hash}{export_hash}{scan_hash}{chosen}");
         self.stage("report", &part(&["run", "upper", "lower"]), &upstream, |cx| stage::report::run(cx, &inputs))?;
         Ok(tables)
     }

@@ -1,6 +1,7 @@
 //! Garments along a clip by the reference solver: without a network, the accuracy end of the trade.
 
 use crate::garment::FittedGarment;
+use crate::random::normal;
 use crate::track::BodyTrack;
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialModel;
@@ -10,6 +11,8 @@ use caphy_garment::energy::frame_normals;
 use caphy_garment::solver::{
     Dynamics, Forces, Obstacle, Outcome, Scene, Solution, SolveReport, Solver, SolverSettings,
 };
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -35,6 +38,17 @@ pub struct SimulationOptions {
     pub forces: Forces,
     /// The solver's settings.
     pub settings: SolverSettings,
+    /// What disturbs every frame's first guess; none for a plain run. Where the answers differ, a pose has several.
+    pub disturbance: Option<Disturbance>,
+}
+
+/// Noise on first guesses.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Disturbance {
+    /// Standard deviation of every coordinate [m].
+    pub deviation_m: f64,
+    /// Its seed.
+    pub seed: u64,
 }
 
 /// Another garment underneath, in the same frames.
@@ -111,10 +125,15 @@ pub fn simulate(
         let transforms = track.transforms(&[frame])[0];
         let skinned = garment.skinned(transforms)?;
         let targets: Vec<Vec3> = solver.held_vertices().iter().map(|&v| skinned[v as usize]).collect();
-        let start = match out.frames.last() {
+        let mut start = match out.frames.last() {
             Some(last) => garment.carried(last, track.transforms(&[frame - 1])[0], transforms),
             None => skinned,
         };
+        if let Some(Disturbance { deviation_m, seed }) = options.disturbance {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            rng.set_stream(frame as u64);
+            start.iter_mut().for_each(|p| *p += Vec3::from_fn(|_, _| deviation_m * normal(&mut rng)));
+        }
         let nearest = |x: &Frames<f64>| contact.nearest(x, &body);
         let scene = Scene {
             body: Some(Obstacle {

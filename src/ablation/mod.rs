@@ -15,6 +15,7 @@ use crate::manifest::Manifest;
 use crate::plugins::Plugins;
 use crate::runner::Run;
 use crate::stage::evaluate::Scores;
+use crate::variants::{anew, share};
 use caphy_core::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -213,15 +214,6 @@ fn title(variant: &VariantConfig) -> &str {
     variant.title.as_deref().unwrap_or(&variant.name)
 }
 
-/// Libraries of the command line once more: the types of a configuration are settled when it is read.
-fn anew(plugins: &Plugins) -> Result<Plugins> {
-    let mut again = Plugins::new()?;
-    for path in plugins.paths() {
-        again.load(path)?;
-    }
-    Ok(again)
-}
-
 fn of_variant(name: &str, error: Error) -> Error {
     match error {
         Error::Config { key, problem, remedy } => {
@@ -251,31 +243,6 @@ fn against(config: &AblationConfig) -> Result<usize> {
         Some(name) => names.iter().position(|n| n == name).ok_or_else(|| missing(name)),
         None => names.len().checked_sub(1).ok_or_else(|| Error::config("variant", "there is none", "add [[variant]]")),
     }
-}
-
-/// Files of a run folder that say what it is or how it went: each run has its own.
-const OWN: [&str; 4] = ["config.toml", "run.json", "timings.json", "lock"];
-
-/// Puts all results of one run folder into another one, as links where the disk can: files are replaced, never changed.
-fn share(from: &Path, to: &Path) -> Result<()> {
-    std::fs::create_dir_all(to).map_err(|e| Error::io(to, "create", e))?;
-    for entry in std::fs::read_dir(from).map_err(|e| Error::io(from, "list", e))? {
-        let path = entry.map_err(|e| Error::io(from, "list", e))?.path();
-        let Some(name) = path.file_name() else { continue };
-        let target = to.join(name);
-        if path.is_dir() {
-            share(&path, &target)?;
-        } else if !OWN.iter().any(|own| name == *own) {
-            // A link cannot take the place of a file.
-            if target.exists() {
-                std::fs::remove_file(&target).map_err(|e| Error::io(&target, "replace", e))?;
-            }
-            if std::fs::hard_link(&path, &target).is_err() {
-                std::fs::copy(&path, &target).map_err(|e| Error::io(&target, "write", e))?;
-            }
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -311,22 +278,5 @@ mod tests {
             let said = open(&text).map(drop).unwrap_err().to_string();
             assert!(words.iter().all(|w| said.contains(w)), "{words:?} in {said}");
         }
-    }
-
-    #[test]
-    fn shared_files_are_there_and_may_be_replaced() {
-        let folder = tempfile::tempdir().unwrap();
-        let (from, to) = (folder.path().join("from"), folder.path().join("to"));
-        std::fs::create_dir_all(from.join("scans")).unwrap();
-        for name in ["scans/a.ply", "synth.caphy", "config.toml"] {
-            std::fs::write(from.join(name), name).unwrap();
-        }
-        share(&from, &to).unwrap();
-        assert_eq!(std::fs::read(to.join("scans/a.ply")).unwrap(), b"scans/a.ply");
-        assert!(!to.join("config.toml").exists());
-        artifact::write_atomically(&to.join("synth.caphy"), b"another").unwrap();
-        assert_eq!(std::fs::read(from.join("synth.caphy")).unwrap(), b"synth.caphy");
-        share(&from, &to).unwrap();
-        assert_eq!(std::fs::read(to.join("synth.caphy")).unwrap(), b"synth.caphy");
     }
 }

@@ -237,9 +237,7 @@ fn fabric_error(scores: &[Scores], kind: GarmentKind) -> Option<f64> {
 
 /// Steps that one garment's net makes, over all trainings, with so many scans to learn from.
 pub(super) fn steps(train: &TrainConfig, optimise: &OptimiseConfig, scans: usize) -> usize {
-    let batches = |count: usize| count.div_ceil(train.batch);
-    let round = batches(train.windows) + batches(train.still_poses) + train.scan_epochs * batches(scans);
-    round * (train.rounds + optimise.alternations * optimise.rounds)
+    train.steps_of_round(scans) * (train.rounds + optimise.alternations * optimise.rounds)
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ pub(crate) mod show;
 pub(crate) mod simulate;
 pub(crate) mod stress;
 pub(crate) mod synth;
+pub(crate) mod tradeoff;
 pub(crate) mod train;
 pub(crate) mod views;
 

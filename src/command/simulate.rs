@@ -90,6 +90,7 @@ pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> 
             tolerance_n: arguments.tolerance,
             ..SolverSettings::default()
         },
+        disturbance: None,
     };
     let order = if arguments.tucked { LayeringOrder::Tucked } else { LayeringOrder::Over };
     let progress = Progress::start("simulate");

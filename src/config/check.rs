@@ -130,6 +130,7 @@ impl Config {
             count("compare.rest_every", compare.rest_every, 1, usize::MAX)?;
             positive("compare.solver.tolerance_n", compare.solver.tolerance_n)?;
         }
+        self.tradeoff().check()?;
         self.motion.variation.check()?;
         self.motion.limits.check().map_err(|e| match e {
             Error::Config { key, problem, remedy } => Error::config(format!("motion.limits.{key}"), problem, remedy),
@@ -200,6 +201,11 @@ impl Config {
             _ => None,
         };
         let animate = self.animate.iter().map(|a| ("animate.clip", &a.clip));
-        posed.into_iter().chain(animate).chain(self.compare.iter().map(|c| ("compare.clip", &c.clip)))
+        let swept = self.tradeoff.iter().flat_map(|t| {
+            let clip = t.clip.iter().map(|clip| ("tradeoff.clip", clip));
+            clip.chain([("tradeoff.check", &t.check)])
+        });
+        let compare = self.compare.iter().map(|c| ("compare.clip", &c.clip));
+        posed.into_iter().chain(animate).chain(compare).chain(swept)
     }
 }

@@ -3,17 +3,21 @@
 //! Unknown keys and types are errors that name the key, its line, and what exists. Every default stands beside its field
 //! with its reason.
 
+mod budget;
 mod check;
 mod optimise;
 pub(crate) mod place;
 mod set;
 mod silent;
 mod synthetic;
+mod tradeoff;
 mod weights;
 
+pub use budget::{BudgetConfig, Choice};
 pub use optimise::{EstimatorConfig, Inner, OptimiseConfig, WornAlternation, WornEquilibrium};
 pub use set::Setting;
 pub use synthetic::{RestScale, RigConfig, SyntheticConfig, Texture};
+pub use tradeoff::TradeoffConfig;
 pub use weights::{Ramp, Schedule, TermWeights};
 
 use crate::files::ProjectFiles;
@@ -80,6 +84,16 @@ pub struct Config {
     /// What the avatar plays at the end; nothing when it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub animate: Option<AnimateConfig>,
+    /// What `caphy tradeoff` measures on; a run does not look at it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tradeoff: Option<TradeoffConfig>,
+    /// Picks a point of a measured front in place of knobs that the file does not set. A resolved configuration holds what it picked,
+    /// and no budget.
+    #[serde(default, skip_serializing)]
+    pub budget: Option<BudgetConfig>,
+    /// What the budget picked.
+    #[serde(skip)]
+    pub choice: Option<Choice>,
 }
 
 /// `[[plugin]]`
@@ -103,6 +117,10 @@ pub struct RunConfig {
 
 fn one() -> u64 {
     1
+}
+
+fn is_zero(seed: &u64) -> bool {
+    *seed == 0
 }
 
 /// `[subject]`
@@ -408,6 +426,9 @@ pub enum ContactWith {
 pub struct TrainConfig {
     /// Rounds of one epoch of random windows and `scan_epochs` epochs of scan poses. Default 24.
     pub rounds: usize,
+    /// Draws another training of the same subject, beside `run.seed`, which draws everything. Default 0.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub seed: u64,
     /// Windows per epoch. Default 640; the paper takes 10000.
     pub windows: usize,
     /// Windows per step; at most 16 travel together. Default 16.
@@ -464,6 +485,7 @@ impl Default for TrainConfig {
     fn default() -> Self {
         Self {
             rounds: 24,
+            seed: 0,
             windows: 640,
             batch: 16,
             window: 5,
@@ -485,6 +507,14 @@ impl Default for TrainConfig {
             contact_with: ContactWith::Vertex,
             weights: TermWeights::default(),
         }
+    }
+}
+
+impl TrainConfig {
+    /// Steps that one garment's net makes in a round, with so many scans to learn from.
+    pub fn steps_of_round(&self, scans: usize) -> usize {
+        let batches = |count: usize| count.div_ceil(self.batch);
+        batches(self.windows) + batches(self.still_poses) + self.scan_epochs * batches(scans)
     }
 }
 
@@ -612,11 +642,12 @@ impl Config {
             plugins.load(&files.resolve(&library)?)?;
         }
         plugins.settle(path);
-        Self::from_table(path, text, &table, plugins).map_err(|error| {
-            set::blame(error, settings, |others| {
-                Self::from_table(path, text, &set::applied(&written, others)?, plugins).map(drop)
-            })
-        })
+        let whole = |table: toml::Table| -> Result<Config> {
+            let (table, choice) = budget::applied(table, &files)?;
+            Ok(Config { choice, ..Self::from_table(path, text, &table, plugins)? })
+        };
+        whole(table)
+            .map_err(|error| set::blame(error, settings, |others| whole(set::applied(&written, others)?).map(drop)))
     }
 
     /// A table, which stands in `text`, as a configuration.
@@ -657,6 +688,12 @@ impl Config {
         [(GarmentKind::Upper, "upper", &self.upper), (GarmentKind::Lower, "lower", &self.lower)]
             .into_iter()
             .filter_map(|(kind, key, garment)| Some((kind, key, garment.as_ref()?)))
+    }
+
+    /// What `caphy tradeoff` measures on, with its defaults.
+    pub fn tradeoff(&self) -> &TradeoffConfig {
+        static DEFAULT: std::sync::LazyLock<TradeoffConfig> = std::sync::LazyLock::new(TradeoffConfig::default);
+        self.tradeoff.as_ref().unwrap_or(&DEFAULT)
     }
 
     /// The table of a garment.

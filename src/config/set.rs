@@ -67,6 +67,11 @@ impl Setting {
         self.steps.join(".")
     }
 
+    /// The value; none takes the key out.
+    pub fn value(&self) -> Option<&toml::Value> {
+        self.value.as_ref()
+    }
+
     /// Puts the value into a table; tables on the way that are not there are made.
     ///
     /// # Errors

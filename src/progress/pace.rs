@@ -58,6 +58,11 @@ impl Pace {
         kind.recent.push_back(seconds);
         self.steps += 1;
     }
+    /// One step of a kind need not be done: an earlier process has done it.
+    pub fn skip(&mut self, kind: usize) {
+        let work = &mut self.kinds[kind].work;
+        work.left = work.left.saturating_sub(1);
+    }
     /// Seconds that went into something else than steps.
     pub fn between(&mut self, seconds: f64) {
         self.between += seconds;
@@ -105,7 +110,7 @@ impl Growth {
 }
 
 /// A remaining time in words; something that is not done is never `0 s` away from it.
-pub(super) fn words(left: Option<f64>) -> String {
+pub(crate) fn words(left: Option<f64>) -> String {
     let Some(left) = left else { return "remaining time not known yet".into() };
     let seconds = left.ceil().max(1.0) as u64;
     match seconds {

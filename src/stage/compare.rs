@@ -5,19 +5,15 @@ use super::reference::{Reference, fabric};
 use super::train::Nets;
 use super::{Context, StageOutput};
 use crate::garment::FittedGarment;
-use crate::inference::{Play, clearance, contacts, play};
-use crate::physics::{Dynamics, Physics, TermEnergies};
+use crate::inference::{Play, play};
+use crate::judge::Judge;
 use crate::pictures;
 use crate::plot::{Axes, Curve, lines};
 use crate::quality::{Spectrum, SpectrumFilter, WAVELENGTHS, mass_height, penetration, swing};
 use crate::scene::Scene;
 use crate::track::BodyTrack;
-use caphy_core::lanes::Frames;
 use caphy_core::pose::Pose;
 use caphy_core::{Result, TriMesh, Vec3};
-use caphy_garment::contact::ContactMap;
-use caphy_garment::energy::{BodyState, State};
-use caphy_garment::skinning::Skinner;
 use caphy_garment::template::GarmentKind;
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
@@ -181,71 +177,14 @@ impl Comparison {
     }
 }
 
-/// A garment's shapes in the frames of a track, in the three ways [m], shape [way][frame][vertex].
-struct Shapes<'a> {
-    track: &'a BodyTrack,
-    ways: [&'a [Vec<Vec3>]; 3],
-}
-
-/// What measures one garment.
-struct Bench<'a> {
-    garment: &'a FittedGarment,
-    physics: Physics<f64>,
-    contact: ContactMap,
-    holder: Skinner<f64>,
-}
-
-impl Bench<'_> {
-    /// Energies of one shape in one frame [J].
-    fn energies(&self, track: &BodyTrack, frame: usize, shape: &[Vec3]) -> Result<TermEnergies> {
-        let mut positions = Frames::<f64>::zeros(1, shape.len(), 1);
-        positions.set_frame(0, 0, shape)?;
-        let (body, normals) = track.gather::<f64>(&[frame], 1)?;
-        let nearest = self.contact.nearest(&positions, &body)?;
-        let mut targets = Frames::zeros(1, self.holder.vertex_count(), 1);
-        self.holder.forward(&self.holder.joint_frames(&track.transforms(&[frame]), 1)?, None, &mut targets)?;
-        let state = State::new(&positions)
-            .with_body(BodyState { positions: &body, normals: &normals, nearest: Some(&nearest) })
-            .with_targets(&targets);
-        self.physics.add(&state, Dynamics::Static, 1.0, None)
-    }
-    /// Mean energies over all frames, per way; the solver's as it has them itself.
-    fn mean_energies(&self, shapes: &Shapes<'_>, solver: &[(String, f64)]) -> Result<Three<Vec<(String, f64)>>> {
-        let frames = shapes.track.len();
-        Three::of(|way| {
-            if way == SOLVER {
-                return Ok(solver.to_vec());
-            }
-            let mut sums: Vec<(String, f64)> = Vec::new();
-            for frame in 0..frames {
-                for (i, (name, energy)) in
-                    self.energies(shapes.track, frame, &shapes.ways[way][frame])?.into_iter().enumerate()
-                {
-                    if i == sums.len() {
-                        sums.push((name.to_string(), 0.0));
-                    }
-                    sums[i].1 += energy / frames as f64;
-                }
-            }
-            Ok(sums)
-        })
-    }
-    /// Signed distances to the body over all frames [m].
-    fn clearances(&self, shapes: &Shapes<'_>, way: usize) -> Result<Vec<f64>> {
-        let mut all = Vec::new();
-        for (frame, shape) in shapes.ways[way].iter().enumerate() {
-            all.extend(clearance(shape, &contacts(&self.contact, shapes.track, frame, shape)?));
-        }
-        Ok(all)
-    }
-    /// Vertices at the free ends: the hem, or the ends of the legs.
-    fn hem(&self) -> Vec<u32> {
-        let named = |wanted: &str| {
-            self.garment.loops.iter().filter(|l| l.name.starts_with(wanted)).flat_map(|l| l.vertices.clone()).collect()
-        };
-        let hem: Vec<u32> = named("hem");
-        if hem.is_empty() { named("cuff") } else { hem }
-    }
+/// Mean energies of shapes over all frames, per way; the solver's as it has them itself.
+fn mean_energies(
+    judge: &Judge<'_>,
+    track: &BodyTrack,
+    ways: &[&[Vec<Vec3>]; 3],
+    solver: &[(String, f64)],
+) -> Result<Three<Vec<(String, f64)>>> {
+    Three::of(|way| if way == SOLVER { Ok(solver.to_vec()) } else { judge.mean_energies(track, ways[way]) })
 }
 
 /// Measures every garment.
@@ -264,37 +203,31 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets, reference: &Re
     {
         context.progress.set(k as f64 / count, &garment.kind.to_string());
         let model = fabric(context, garment.kind, Some(nets))?;
-        let rest = garment.rest(&*model)?;
-        let physics = Physics::<f64>::new(&rest, model, &train.contact, reference.fps, &train.weights)?;
-        let skinner = Skinner::<f64>::new(&garment.mesh.vertices, &garment.weights)?;
-        let holder = skinner.select(physics.attachment.vertices())?;
-        let bench = Bench { garment, contact: scene.contact(garment)?, holder, physics };
-        let skin = |track: &BodyTrack| {
-            (0..track.len()).map(|f| garment.skinned(track.transforms(&[f])[0])).collect::<Result<Vec<_>>>()
-        };
-        let (skinned, skinned_still) = (skin(&track)?, skin(&still)?);
+        let judge = Judge::new(&scene, garment, model, reference.fps, train)?;
+        let (skinned, skinned_still) = (judge.skinned(&track)?, judge.skinned(&still)?);
         let net = &context.config.net;
         let moving = play(garment, trained, net, &track, Play::Clip)?;
         let posed = play(garment, trained, net, &still, Play::Poses)?;
-        let resting = Shapes { track: &still, ways: [&skinned_still, &posed, &simulated.at_rest] };
-        let shapes = Shapes { track: &track, ways: [&skinned, &moving, &simulated.moving] };
-        let hem = bench.hem();
+        let resting: [&[Vec<Vec3>]; 3] = [&skinned_still, &posed, &simulated.at_rest];
+        let ways: [&[Vec<Vec3>]; 3] = [&skinned, &moving, &simulated.moving];
+        let hem = judge.hem();
         let filter = SpectrumFilter::new(&garment.mesh);
-        let depths = Three::of(|way| Ok(penetration(&bench.clearances(&shapes, way)?, limit)))?;
+        let depths = Three::of(|way| Ok(penetration(&judge.clearances(&track, ways[way])?, limit)))?;
+        let masses = &judge.rest.vertex_masses;
         let heights: Vec<f64> = moving
             .iter()
             .zip(&simulated.moving)
-            .map(|(a, b)| (mass_height(a, &rest.vertex_masses) - mass_height(b, &rest.vertex_masses)).abs())
+            .map(|(a, b)| (mass_height(a, masses) - mass_height(b, masses)).abs())
             .collect();
         garments.push(GarmentComparison {
             kind: garment.kind,
-            at_rest: bench.mean_energies(&resting, &simulated.energies[1])?,
-            moving: bench.mean_energies(&shapes, &simulated.energies[0])?,
+            at_rest: mean_energies(&judge, &still, &resting, &simulated.energies[1])?,
+            moving: mean_energies(&judge, &track, &ways, &simulated.energies[0])?,
             spectrum: Three::of(|way| {
-                let all: Vec<_> = shapes.ways[way].iter().map(|x| filter.of(x, &garment.mesh.faces)).collect();
+                let all: Vec<_> = ways[way].iter().map(|x| filter.of(x, &garment.mesh.faces)).collect();
                 Ok(Spectrum::mean(&all))
             })?,
-            swing_m: Three::of(|way| Ok(swing(shapes.ways[way], &skinned, &roots, &hem)))?,
+            swing_m: Three::of(|way| Ok(swing(ways[way], &skinned, &roots, &hem)))?,
             height_m: [
                 heights.iter().sum::<f64>() / heights.len().max(1) as f64,
                 heights.iter().copied().fold(0.0, f64::max),
@@ -306,7 +239,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets, reference: &Re
                     let mean = hem.iter().map(|&v| x[v as usize].y).sum::<f64>() / hem.len().max(1) as f64;
                     mean - pose.translation.y
                 };
-                Ok(shapes.ways[way].iter().zip(&reference.poses).map(height).collect())
+                Ok(ways[way].iter().zip(&reference.poses).map(height).collect())
             })?,
             unconverged: [
                 [simulated.unconverged[0], simulated.moving.len()],

@@ -516,6 +516,7 @@ fn solver_floor(
             friction: synthetic.friction,
             ..SolverSettings::default()
         },
+        disturbance: None,
     };
     let mut done: Vec<Vec<Vec<Vec3>>> = Vec::new();
     for (k, fitted) in subject.garments.iter().enumerate().rev() {

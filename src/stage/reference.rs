@@ -81,6 +81,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: Option<&Nets>) -> Res
                 fps,
                 forces: solver_forces(&context.config.train),
                 settings: compare.solver,
+                disturbance: None,
             };
             let say = |s: f64, text: &str| {
                 let share = (k as f64 + from + (to - from) * s) / count as f64;

@@ -163,6 +163,9 @@ fn overview(html: &mut String, context: &Context<'_>, inputs: &Inputs<'_>) {
     let vertices: Vec<String> = vertices.collect();
     let kind = if inputs.scans.truth.is_some() { "synthetic subject" } else { "subject" };
     let _ = write!(html, "<p>{kind}, {scans} scans ({held} held out), garments: {}.</p>", vertices.join(", "));
+    if let Some(choice) = &context.config.choice {
+        let _ = write!(html, "<p>Budget: {}</p>", escape(&choice.text()));
+    }
     let mut rows: Vec<(&str, f64)> = Vec::new();
     for stage in ScenePlan::new(context.config).stages {
         rows.extend(inputs.timings.get(stage.name).map(|seconds| (stage.name, *seconds)));

@@ -236,7 +236,9 @@ pub fn run(context: &Context<'_>, subject: &Subject, start: &Start) -> Result<Ne
 
 /// Each garment draws its own batches.
 fn seed(context: &Context<'_>, index: usize) -> u64 {
-    context.config.run.seed.wrapping_mul(1000).wrapping_add(index as u64)
+    let config = context.config;
+    // Far from the garments' numbers, and nothing for the first training.
+    config.run.seed.wrapping_mul(1000).wrapping_add(index as u64).wrapping_add(config.train.seed << 32)
 }
 
 /// Numbers the points of a second training after those of the first.

@@ -45,6 +45,7 @@ pub fn wear(config: &SyntheticConfig, person: &Person, scene: &Scene, pose: &Pos
             friction: config.friction,
             ..SolverSettings::default()
         },
+        disturbance: None,
     };
     let mut done: Vec<(Vec<Vec<Vec3>>, SolveReport)> = Vec::new();
     for (garment, material) in person.garments.iter().zip(&person.materials).rev() {

@@ -36,3 +36,5 @@ mod standin;
 mod stress;
 /// Scans of generated people.
 mod synth;
+/// What knobs cost and buy.
+mod tradeoff;

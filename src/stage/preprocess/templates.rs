@@ -201,6 +201,7 @@ impl<'a> Choosing<'a> {
                 friction: FRICTION,
                 ..SolverSettings::default()
             },
+            disturbance: None,
         };
         let subject = self.subject;
         let garments = std::slice::from_ref(&garment);
