@@ -252,6 +252,10 @@ pub struct GarmentConfig {
     /// Number of styles that are tried as template. Default 30; the paper takes 300.
     #[serde(default = "thirty")]
     pub styles: usize,
+    /// How many of them, those nearest by skinning alone, are brought to rest on the body and compared again; the best is then refined
+    /// as it is worn. Default 6. 0 compares and refines by skinning alone: seconds faster, lengths off by centimetres.
+    #[serde(default = "six")]
+    pub worn: usize,
     /// Edge length of the template [m]. Default 0.025: about 1000 vertices.
     #[serde(default = "template_resolution")]
     pub resolution_m: f64,
@@ -273,6 +277,9 @@ fn parametric() -> PluginTable {
 
 fn thirty() -> usize {
     30
+}
+fn six() -> usize {
+    6
 }
 fn template_resolution() -> f64 {
     0.025

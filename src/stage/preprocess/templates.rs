@@ -31,8 +31,6 @@ const CANDIDATE_RESOLUTION: f64 = 0.035;
 const CANDIDATE_POINTS: usize = 3000;
 /// Points of the edges of a garment that styles are refined with.
 const EDGE_POINTS: usize = 600;
-/// Of the samples, those nearest by skinning alone that are worn and compared again.
-const WORN: usize = 6;
 /// Force that may be left on worn candidates, as a share of a vertex's weight, and most steps to get there: millimetres do not matter.
 const ROUGHLY: f64 = 0.05;
 const STEPS: usize = 60;
@@ -48,11 +46,11 @@ pub struct TemplateChoice {
     pub scan: String,
     /// Number of styles tried.
     pub styles: usize,
-    /// Mean squared Chamfer distance of the best sample when worn, both directions summed [mm²].
+    /// Mean squared Chamfer distance of the best sample as it was compared last (worn, or by skinning alone), both directions summed [mm²].
     pub best_sample_mm2: f64,
     /// The same of the median sample, posed by skinning alone [mm²].
     pub median_sample_mm2: f64,
-    /// The same after the style was refined, worn [mm²].
+    /// The same after the style was refined [mm²].
     pub refined_mm2: f64,
     /// Distance of the scan's edges from those of the refined template along the cloth, root mean square [mm]; 0 where the scan shows
     /// none.
@@ -154,8 +152,11 @@ impl<'a> Choosing<'a> {
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         order.sort_by(|&a, &b| posed.report[a].squared.total_cmp(&posed.report[b].squared));
         let median = posed.report[order[order.len() / 2]].squared;
-        order.truncate(WORN);
-        let wear = |t: &Template| self.worn(t, settings, fabric, inner);
+        order.truncate(settings.worn.max(1));
+        let wear = |t: &Template| match settings.worn {
+            0 => pose(t),
+            _ => self.worn(t, settings, fabric, inner),
+        };
         let worn: Vec<Result<Vec<Vec3>>> = order.par_iter().map(|&i| wear(&candidates[i])).collect();
         let worn = worn.into_iter().collect::<Result<Vec<_>>>()?;
         let sampled = choose_template(&worn, &points, &options)?;

@@ -414,7 +414,7 @@ pub fn wrong_lengths_are_refused(net: &dyn DeformationNet) -> Outcome {
 }
 
 /// [`CHECKS`]: features of ±1e4, far from anything standardised, in every precision that is offered; a feature that is not a number
-/// is an error or makes the output none.
+/// is an error or makes the output none, if the net listens to it at all.
 pub fn large_features_stay_finite(net: &dyn DeformationNet) -> Outcome {
     fn in_precision<T: NetReal>(net: &dyn DeformationNet) -> std::result::Result<(), String> {
         let mut case = Case::<T>::new(net, PASS.0, PASS.1)?;
@@ -424,9 +424,12 @@ pub fn large_features_stay_finite(net: &dyn DeformationNet) -> Outcome {
         let mut gradient = vec![T::zero(); case.parameters.len()];
         case.backward(net, &tape, &output, &mut gradient, None).map_err(unexpected("a backward pass"))?;
         ensure(gradient.iter().all(|v| v.is_finite()), || "the gradient is not finite".into())?;
+        // A net may be deaf to a feature, but not tell numbers from none by silence.
+        case.features[0] = T::of(-3.0);
+        let heard = case.forward(net)?.0 != output;
         case.features[0] = T::nan();
         let hidden = case.forward(net).is_ok_and(|(output, ..)| output.iter().all(|v| v.is_finite()));
-        ensure(!hidden, || "a feature that is not a number has a finite output".into())
+        ensure(!(heard && hidden), || "a feature that is not a number has a finite output".into())
     }
     in_precision::<f32>(net)?;
     if net.offers().double {

@@ -28,6 +28,7 @@ enum Fault {
     SingleIsAnother,
     NoChecks,
     OverflowsEarly,
+    HidesNoNumber,
     ThreadMatters,
     AnswersWhatItDoesNotOffer,
 }
@@ -84,6 +85,9 @@ impl Recurrence {
                     }
                     if self.is(Fault::OverflowsEarly) && s.abs() > T::of(1e3) {
                         s = T::infinity();
+                    }
+                    if self.is(Fault::HidesNoNumber) && s.is_nan() {
+                        s = T::zero();
                     }
                     state[b * STATE + k] = s;
                 }
@@ -242,6 +246,7 @@ fn faults() -> Vec<(Fault, Vec<&'static str>)> {
         (Fault::SingleIsAnother, vec!["single_agrees_with_double"]),
         (Fault::NoChecks, vec!["wrong_lengths_are_refused"]),
         (Fault::OverflowsEarly, vec!["large_features_stay_finite"]),
+        (Fault::HidesNoNumber, vec!["large_features_stay_finite"]),
         (Fault::ThreadMatters, vec!["threads_change_nothing"]),
         (Fault::AnswersWhatItDoesNotOffer, vec!["offers_are_true"]),
     ]
