@@ -22,6 +22,21 @@ pub struct Axes<'a> {
     pub log_y: bool,
 }
 
+impl Axes<'_> {
+    /// Their names, and the end of the drawing.
+    fn named(&self) -> String {
+        let [left, right, top, bottom] = MARGIN;
+        format!(
+            "<text x=\"{:.1}\" y=\"{:.1}\" class=\"n m\">{}</text><text transform=\"translate(14 {:.1}) rotate(-90)\" class=\"n m\">{}</text></svg>",
+            left + (WIDTH - left - right) / 2.0,
+            HEIGHT - 8.0,
+            escape(self.x),
+            top + (HEIGHT - top - bottom) / 2.0,
+            escape(self.y),
+        )
+    }
+}
+
 const COLOURS: [&str; 8] = ["#1f5fa8", "#c8502d", "#3b8c4f", "#7a4fa3", "#a0802a", "#2b9a9a", "#b03a6f", "#606060"];
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 300.0;
@@ -87,16 +102,7 @@ pub fn lines(axes: &Axes<'_>, curves: &[Curve]) -> String {
             d = ly + 4.0,
         );
     }
-    let _ = write!(
-        svg,
-        "<text x=\"{:.1}\" y=\"{:.1}\" class=\"n m\">{}</text><text transform=\"translate(14 {:.1}) rotate(-90)\" class=\"n m\">{}</text></svg>",
-        left + (WIDTH - left - right) / 2.0,
-        HEIGHT - 8.0,
-        escape(axes.x),
-        top + (HEIGHT - top - bottom) / 2.0,
-        escape(axes.y),
-    );
-    svg
+    svg + &axes.named()
 }
 
 /// A map of letters as an `<svg>` element: rows from below, runs of one letter drawn as one.
@@ -264,16 +270,7 @@ pub fn costs(axes: &Axes<'_>, clouds: &[Cloud]) -> String {
             escape(name),
         );
     }
-    let _ = write!(
-        svg,
-        "<text x=\"{:.1}\" y=\"{:.1}\" class=\"n m\">{}</text><text transform=\"translate(14 {:.1}) rotate(-90)\" class=\"n m\">{}</text></svg>",
-        left + (WIDTH - left - right) / 2.0,
-        HEIGHT - 8.0,
-        escape(axes.x),
-        top + (HEIGHT - top - bottom) / 2.0,
-        escape(axes.y),
-    );
-    svg
+    svg + &axes.named()
 }
 
 /// Logarithms of round numbers inside a range of logarithms: powers of ten where there are several, else 1, 2, 5 of each, or whatever
