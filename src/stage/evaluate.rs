@@ -253,10 +253,16 @@ impl Scores {
                     writeln!(out, "{}: joints {median:.1} mm from the truth (median), {most:.1} mm at most", scan.name);
             }
             if let Some(b) = scan.body_error {
+                let girth = if b.outward_mm[1] < 0.0 { "thin" } else { "fat" };
                 let _ = writeln!(
                     out,
-                    "{}: body {:.1} mm from the truth on skin (95 %: {:.1}), {:.1} mm under clothes (95 %: {:.1}), where it is {:+.1} mm fatter",
-                    scan.name, b.skin_mm[0], b.skin_mm[1], b.covered_mm[0], b.covered_mm[1], b.outward_mm[1]
+                    "{}: body {:.1} mm from the truth on skin (95 %: {:.1}), {:.1} mm under clothes (95 %: {:.1}), {:.1} mm too {girth} there",
+                    scan.name,
+                    b.skin_mm[0],
+                    b.skin_mm[1],
+                    b.covered_mm[0],
+                    b.covered_mm[1],
+                    b.outward_mm[1].abs()
                 );
             }
             if let Some(share) = scan.label_agreement {

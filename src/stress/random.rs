@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "a million states of every material take minutes"]
+    #[ignore = "a million states of every material take minutes; .ci/slow runs it"]
     fn a_million_random_states_per_material() {
         sweep(1_000_000);
     }

@@ -258,6 +258,7 @@ fn templates_are_worn_before_they_are_chosen() {
     let errors = [&bare, &worn].map(|s| s.choices[0].measures.against(&truth.garments[0].measures));
     assert!(worn.choices[0].edges_off_mm > 0.0);
     assert_eq!(worn.choices[1].measures, bare.choices[1].measures);
+    assert_ne!(worn.choices[0].measures, bare.choices[0].measures, "wearing changes what is found");
     // As exact as a pose that was fitted in eight steps to 300 points allows: the edge length of the template.
     assert!(errors[1].largest_m() < 0.05, "{:?}", errors[1]);
 }
