@@ -9,7 +9,7 @@ use std::io::Write;
 use std::path::Path;
 
 /// Version of the artifact layout; raised when a stage's output type changes.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 
 /// First line of an artifact.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

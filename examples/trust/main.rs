@@ -2,7 +2,10 @@
 //!
 //! ```text
 //! cargo run --release --example trust -- docs/trust.md [SEEDS]
+//! cargo run --release --example trust -- --section "Worn shirts" [SEEDS]
 //! ```
+//!
+//! The second prints one section.
 //!
 //! Every number on the page is computed here, on cloth in the laboratory: known fabrics, simulated, scanned with noise, estimated.
 
@@ -14,6 +17,7 @@ mod fits;
 #[path = "../../crates/garment/tests/estimate/study.rs"]
 #[allow(dead_code, reason = "shared with the tests, which use all of it")]
 mod study;
+mod worn;
 
 use caphy::artifact::write_atomically;
 use caphy::plot;
@@ -55,7 +59,9 @@ const PAIR: [&str; 2] = ["gray-interlock", "11oz-black-denim"];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
-    let page = PathBuf::from(arguments.next().ok_or("name the page, such as docs/trust.md")?);
+    let first = arguments.next().ok_or("name the page, such as docs/trust.md")?;
+    let only = if first == "--section" { Some(arguments.next().ok_or("say how its title begins")?) } else { None };
+    let page = PathBuf::from(first);
     let seeds: u64 = arguments.next().map_or(Ok(8), |s| s.parse())?;
     let stem = page.file_stem().ok_or("name a file")?.to_string_lossy().into_owned();
     let figures = Figures { folder: page.parent().unwrap_or(Path::new(".")).join(&stem), named: stem };
@@ -66,7 +72,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
          0.5 mm of noise on every coordinate where nothing else is said, and estimated by its seven factors. Ratios are estimate \
          over truth. Worn garments are harder: see the end.\n"
     );
-    let sections: [(&str, &dyn Fn() -> Section); 7] = [
+    let sections: [(&str, &dyn Fn() -> Section); 8] = [
         ("Eq. 10 alone", &|| balance::noise(&PAIR)),
         ("The paper's alternation", &|| balance::drift(PAIR[0], &figures)),
         ("The equilibrium fit, started near", &|| {
@@ -76,12 +82,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ("What is not known: cut, friction, density, noise, mesh", &|| disturbed::section(PAIR[0], &figures)),
         ("Bending: a strip against the elastica", &|| bending::section()),
         ("Ten fabrics over a table (an illustration)", &|| drapes::section(&figures)),
+        ("Worn shirts, the body known", &|| worn::section()),
     ];
     for (title, section) in sections {
+        if only.as_ref().is_some_and(|wanted| !title.starts_with(wanted.as_str())) {
+            continue;
+        }
         let started = Instant::now();
         eprintln!("{title}");
         text += &format!("\n## {title}\n\n{}", section()?);
         eprintln!("{title}: {:.0} s", started.elapsed().as_secs_f64());
+    }
+    if only.is_some() {
+        println!("{text}");
+        return Ok(());
     }
     text += "\n## Worn garments\n\n\
         None of the above knows an error of the body under the clothes or of the template's cut, which are millimetres, not half a \

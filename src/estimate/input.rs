@@ -8,7 +8,7 @@ use caphy_core::scan::Scan;
 use caphy_core::units::KilogramPerSquareMetre;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::GarmentRest;
-use caphy_garment::estimate::{Capture, Problem, ScanPoints, Surroundings, cloth};
+use caphy_garment::estimate::{Capture, CutPart, Problem, ScanPoints, Surroundings, cloth};
 use caphy_garment::solver::Forces;
 use std::path::Path;
 use std::sync::Arc;
@@ -29,7 +29,8 @@ pub(super) fn problem(config: &EstimateConfig, files: &ProjectFiles) -> Result<P
     let (rest, weighed) = cloth_at_rest(&config.cloth, &*material, files)?;
     let captures = config.pose.iter().map(|p| capture(p, config, &rest, files)).collect::<Result<_>>()?;
     let forces = Forces { contact: config.contact, ..Forces::default() };
-    Ok(Problem { rest, material, forces, solver: config.solver, captures, weighed })
+    let parts = CutPart::whole(rest.faces().len());
+    Ok(Problem { rest, material, forces, solver: config.solver, captures, weighed, parts })
 }
 
 /// Reads a mesh by its ending.
@@ -184,6 +185,7 @@ fn capture(pose: &PoseConfig, config: &EstimateConfig, rest: &GarmentRest, files
             ScanPoints::Surface { points: scan.vertices, faces: scan.faces, visible: None }
         },
         anchors: None,
+        worn: None,
         sigma_m: pose.sigma_m,
     })
 }

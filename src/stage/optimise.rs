@@ -5,7 +5,7 @@ use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
 use crate::config::{EstimatorConfig, Inner, WornAlternation};
 use crate::estimate::report::{self, drawn};
-use crate::estimate::worn::Wardrobe;
+use crate::estimate::worn::{Wardrobe, attached};
 use crate::estimate::{Estimated, FabricFound, How, Kept, ReductionChoice, fit, ten_fabrics};
 use crate::pictures;
 use caphy_core::material::MaterialModel;
@@ -95,7 +95,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets, scans: &Scans)
         let kept = Kept { folder: context.folder, name: &name, key: context.key };
         let fabrics = if table.is_measured() { ten_fabrics()? } else { Vec::new() };
         let simulated = |how: How, choice: ReductionChoice, solver: SolverSettings| -> Result<(FabricFound, Problem)> {
-            let problem = wardrobe.attached(wardrobe.problem(index, start.clone(), solver)?)?;
+            let problem = attached(wardrobe.problem(index, start.clone(), solver)?)?;
             let found = match fit(&problem, &how, choice, &fabrics, &kept, &set, &note) {
                 // A fit that comes to nothing must not end the run.
                 Err(Error::Numerics { what, problem: why, remedy }) => {

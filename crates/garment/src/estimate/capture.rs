@@ -2,6 +2,7 @@
 
 use super::roughness;
 use crate::GarmentRest;
+use crate::solver::Solution;
 use caphy_core::lanes::Frames;
 use caphy_core::{Error, Result, Vec3};
 use nalgebra::Matrix3;
@@ -105,6 +106,10 @@ pub struct Capture {
     pub scan: ScanPoints,
     /// Where friction holds each vertex [m]; `None`: where it starts.
     pub anchors: Option<Vec<Vec3>>,
+    /// A solution whose contacts say on which side of the body the cloth is, such as one that began where skinning puts it; `None`:
+    /// where it starts. A crease between two limbs is nearest now to one, now to the other: without, what is at rest there is thrown
+    /// out through the other side.
+    pub worn: Option<Arc<Solution>>,
     /// Standard deviation of the scan's noise per coordinate [m]; `None`: from the scan's own roughness.
     pub sigma_m: Option<f64>,
 }
@@ -130,8 +135,11 @@ impl Capture {
         if !self.blends.is_empty() {
             Error::check_length(&key("blended transforms"), n, self.blends.len())?;
         }
-        if let Some(anchors) = &self.anchors {
-            Error::check_length(&key("anchors"), n, anchors.len())?;
+        let worn = self.worn.as_ref().map(|s| &s.positions);
+        for (what, points) in [("anchors", self.anchors.as_ref()), ("solution that it was worn in", worn)] {
+            if let Some(points) = points {
+                Error::check_length(&key(what), n, points.len())?;
+            }
         }
         self.check_held()?;
         self.check_scan(n)

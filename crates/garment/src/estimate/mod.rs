@@ -12,6 +12,7 @@ mod balance_system;
 pub mod bounded;
 pub mod capture;
 pub mod cloth;
+mod cut;
 pub mod equilibrium;
 pub mod force_balance;
 pub mod reduction;
@@ -22,6 +23,7 @@ pub mod shapes;
 
 pub use alternation::{AlternationEstimate, AlternationSettings, alternation};
 pub use capture::{Capture, ContactSearch, ScanPoints, Surroundings};
+pub use cut::CutPart;
 pub use equilibrium::{EquilibriumEstimate, FitProgress, FitState, NativeEvidence, Problem, equilibrium};
 pub use force_balance::{FabricEstimate, ForceBalanceSettings, GroupEstimate};
 pub use reduction::Reduction;

@@ -29,8 +29,8 @@ pub struct EquilibriumSettings {
     /// A pose whose χ² per point is so many times that of the median pose is left out. Default 1.3: a thousand points scatter by 0.04,
     /// and a pose on a neighbouring fold at 1.4 was seen to shift shear by 10 %.
     pub gate: f64,
-    /// Whether rest-shape ease (girth and length) is fitted along, with this prior standard deviation (share of the length). Default
-    /// 0: not fitted. 0.02 is right for garments whose cut is not known.
+    /// Whether rest-shape ease (girth and length of each part of the cut: trunk, sleeves, legs of what is worn) is fitted along, with
+    /// this prior standard deviation (share of the length). Default 0: not fitted. 0.02 is right for garments whose cut is not known.
     pub ease_sd: f64,
     /// Whether a smooth offset of the body's surface is fitted along, with this prior standard deviation [m]. Default 0: not
     /// fitted. 0.002 is right for bodies found under clothes.

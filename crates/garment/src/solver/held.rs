@@ -9,10 +9,18 @@ use super::state::flat;
 use super::state::{Prepared, Workspace};
 use caphy_core::{Error, Result, Vec3};
 
+/// Where contacts that are held come from.
+#[derive(Debug, Clone, Copy)]
+pub enum Contacts<'a> {
+    /// Those of an earlier solution.
+    Of(&'a Solution),
+    /// Found where the solve starts, on the sides that the cloth is on in a solution before, where there is one.
+    AtStart(Option<&'a Solution>),
+}
+
 impl Solver {
-    /// Brings the garment to rest from `start` [m] with contact pairs and friction limits held: those of `earlier`, or with `None` as
-    /// they are found at `start`. The answer depends smoothly on everything else, as [`Solver::linearise`] says it does. Friction
-    /// pulls to the anchors of the solve that the contacts come from.
+    /// Brings the garment to rest from `start` [m] with contact pairs and friction limits held. The answer depends smoothly on
+    /// everything else, as [`Solver::linearise`] says it does. Friction pulls to the anchors of the solve that the contacts come from.
     ///
     /// Good for answers near the start: a vertex that slides over the body meets the tangent plane of where it was.
     ///
@@ -20,7 +28,7 @@ impl Solver {
     /// As [`Solver::solve`].
     pub fn solve_held(
         &mut self,
-        earlier: Option<&Solution>,
+        contacts: Contacts<'_>,
         scene: &Scene<'_>,
         start: &[Vec3],
         progress: &dyn Fn(Progress),
@@ -31,8 +39,8 @@ impl Solver {
         self.release();
         let prepared = Prepared::new(self, scene)?;
         let mut workspace = Workspace::new(self.vertex_count());
-        let mut frozen = match earlier {
-            Some(earlier) => {
+        let mut frozen = match contacts {
+            Contacts::Of(earlier) => {
                 Error::check_length("vertices of the earlier solution", self.vertex_count(), earlier.positions.len())?;
                 let pairs = earlier.pairs().unwrap_or_default();
                 if let Some(id) = pairs.iter().find(|id| !prepared.has_body_vertex(**id)) {
@@ -45,7 +53,10 @@ impl Solver {
                 }
                 earlier.frozen.clone()
             }
-            None => self.contacts_at(&prepared, &mut workspace, &x, start)?,
+            Contacts::AtStart(before) => {
+                let pairs = before.and_then(Solution::pairs);
+                self.contacts_at(&prepared, &mut workspace, &x, (start, pairs))?
+            }
         };
         let settings = self.settings;
         let mut factorisations = 0;

@@ -40,6 +40,7 @@ mod substitution;
 mod vector;
 
 pub use dynamics::Dynamics;
+pub use held::Contacts;
 pub use ordering::Analysis;
 pub use scene::{Momentum, Obstacle, Scene, Springs};
 pub use sensitivity::Linearisation;

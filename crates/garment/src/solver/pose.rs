@@ -223,9 +223,9 @@ impl Solver {
         prepared: &Prepared<'_>,
         workspace: &mut Workspace,
         x: &[f64],
-        start: &[Vec3],
+        (start, pairs): (&[Vec3], Option<&[u32]>),
     ) -> Result<Frozen> {
-        let mut frozen = self.first_pairs(prepared, None, workspace, x)?;
+        let mut frozen = self.first_pairs(prepared, pairs, workspace, x)?;
         frozen.friction = self.friction(prepared, &frozen, workspace, x, (start, None))?;
         Ok(frozen)
     }

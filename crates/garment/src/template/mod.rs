@@ -38,7 +38,8 @@ use caphy_core::query::{Adjacency, NearestGrid, boundary_loops, hinges};
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use distance::{DistanceGrid, Skin};
 use rayon::prelude::*;
-use rest::{Landmarks, Limb, limb_of};
+use rest::Landmarks;
+pub(crate) use rest::{Limb, limb_of};
 use serde::{Deserialize, Serialize};
 use shape::{GAP, Shape};
 

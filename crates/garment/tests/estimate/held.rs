@@ -3,7 +3,7 @@
 use super::study::*;
 use caphy_core::Vec3;
 use caphy_garment::estimate::{Reduction, cloth};
-use caphy_garment::solver::{Forces, Obstacle, Scene, Solver, SolverSettings};
+use caphy_garment::solver::{Contacts, Forces, Obstacle, Scene, Solver, SolverSettings};
 
 #[test]
 fn contacts_that_are_held_leave_rest_where_it_was_and_answer_by_the_sensitivities() {
@@ -23,7 +23,7 @@ fn contacts_that_are_held_leave_rest_where_it_was_and_answer_by_the_sensitivitie
     assert!(found.contacts.len() > 3, "{} vertices touch", found.contacts.len());
 
     // At rest there is nothing to do.
-    let again = solver.solve_held(Some(&found), &scene, &found.positions, &|_| {}).unwrap();
+    let again = solver.solve_held(Contacts::Of(&found), &scene, &found.positions, &|_| {}).unwrap();
     assert_eq!((again.report.iterations, &again.positions), (0, &found.positions));
 
     // From some tenths of a millimetre away the same rest is found.
@@ -31,7 +31,7 @@ fn contacts_that_are_held_leave_rest_where_it_was_and_answer_by_the_sensitivitie
     let moved: Vec<Vec3> = (0..shaken.len())
         .map(|v| if setup.fixed.contains(&(v as u32)) { found.positions[v] } else { shaken[v] })
         .collect();
-    let back = solver.solve_held(Some(&found), &scene, &moved, &|_| {}).unwrap();
+    let back = solver.solve_held(Contacts::Of(&found), &scene, &moved, &|_| {}).unwrap();
     let apart = |a: &[Vec3], b: &[Vec3]| a.iter().zip(b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
     assert!(apart(&back.positions, &found.positions) < 1e-6, "{:.1e} m", apart(&back.positions, &found.positions));
 
@@ -49,7 +49,7 @@ fn contacts_that_are_held_leave_rest_where_it_was_and_answer_by_the_sensitivitie
         let y = vec![step; reduction.len()];
         let mut other =
             Solver::new(&rest, reduction.material(&*truth, &y).unwrap().into(), Forces::default(), settings).unwrap();
-        let there = other.solve_held(Some(&found), &scene, &found.positions, &|_| {}).unwrap();
+        let there = other.solve_held(Contacts::Of(&found), &scene, &found.positions, &|_| {}).unwrap();
         let predicted: Vec<Vec3> = found
             .positions
             .iter()
@@ -81,6 +81,6 @@ fn contacts_of_another_scene_are_refused() {
         body: Some(Obstacle { positions: &small.positions, normals: &small.normals, before: None, search: None }),
         ..scene
     };
-    let said = solver.solve_held(Some(&found), &other, &found.positions, &|_| {}).unwrap_err().to_string();
+    let said = solver.solve_held(Contacts::Of(&found), &other, &found.positions, &|_| {}).unwrap_err().to_string();
     assert!(said.contains("touched by the earlier solution"), "{said}");
 }

@@ -3,7 +3,7 @@
 use caphy_core::Vec3;
 use caphy_core::material::{MaterialModel, MaterialSpec};
 use caphy_garment::GarmentRest;
-use caphy_garment::estimate::{Capture, Problem, ScanPoints, Surroundings, cloth};
+use caphy_garment::estimate::{Capture, CutPart, Problem, ScanPoints, Surroundings, cloth};
 use caphy_garment::solver::{Forces, Obstacle, Scene, Solver, SolverSettings};
 use caphy_materials::MaterialMeasuredSpec;
 use rand::{RngExt, SeedableRng};
@@ -182,6 +182,7 @@ pub(crate) fn problem(
                 scan: ScanPoints::Known { vertices: (0..shape.len() as u32).collect(), points },
                 blends: Vec::new(),
                 anchors: Some(setup.start.clone()),
+                worn: None,
                 sigma_m: (noise == 0.0).then_some(1e-6),
             }
         })
@@ -193,6 +194,7 @@ pub(crate) fn problem(
         solver: settings,
         captures,
         weighed: true,
+        parts: CutPart::whole(rest.faces().len()),
     }
 }
 

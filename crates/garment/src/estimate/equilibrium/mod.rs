@@ -23,6 +23,7 @@ pub use native::{FabricOdds, NativeEvidence};
 
 use super::bounded;
 use super::capture::Capture;
+use super::cut::CutPart;
 use super::reduction::Reduction;
 use super::settings::EquilibriumSettings;
 use crate::GarmentRest;
@@ -61,6 +62,8 @@ pub struct Problem {
     pub captures: Vec<Capture>,
     /// Whether the density is that of this cloth (weighed), rather than the fabric's of the start.
     pub weighed: bool,
+    /// What may be cut otherwise than `rest` where `ease_sd` asks for it, each part in length and in girth.
+    pub parts: Vec<CutPart>,
 }
 
 impl Problem {
@@ -80,6 +83,10 @@ impl Problem {
         }
         if self.captures.is_empty() {
             return Err(Error::config("pose", "there is none", "give at least one scanned pose"));
+        }
+        let faces = self.rest.faces().len();
+        for part in &self.parts {
+            Error::check_length(&format!("faces of the part `{}`", part.name), faces, part.share.len())?;
         }
         self.captures.iter().try_for_each(|c| c.check(&self.rest))
     }
@@ -132,6 +139,10 @@ pub fn equilibrium(
 ) -> Result<EquilibriumEstimate> {
     problem.check()?;
     settings.check()?;
+    if settings.ease_sd > 0.0 && problem.parts.is_empty() {
+        let problem = format!("{} and no part of the cloth whose cut may differ", settings.ease_sd);
+        return Err(Error::config("ease_sd", problem, "name the parts (`CutPart::whole`), or give 0"));
+    }
     let mut fit = Fit::new(problem, reduction, settings)?;
     if let Some(state) = resume {
         fit.go_on(state)?;
@@ -159,7 +170,7 @@ struct Normal {
 
 impl<'p> Fit<'p> {
     fn new(problem: &'p Problem, reduction: Reduction, settings: &'p EquilibriumSettings) -> Result<Self> {
-        let unknowns = Unknowns::new(reduction, &problem.captures, settings)?;
+        let unknowns = Unknowns::new(reduction, &problem.parts, &problem.captures, settings)?;
         let mut poses: Vec<PoseFit<'p>> =
             problem.captures.iter().map(|c| PoseFit::new(problem, c)).collect::<Result<_>>()?;
         // One scanner, one noise: what folds add to the roughness of some poses is not its.
@@ -525,7 +536,7 @@ pub fn held_shapes(
     lambda: f64,
 ) -> Result<Vec<Vec<Vec3>>> {
     Error::check_length("shapes to start from", problem.captures.len(), start.len())?;
-    let unknowns = Unknowns::new(Reduction::multipliers(&**material)?, &[], &EquilibriumSettings::default())?;
+    let unknowns = Unknowns::new(Reduction::multipliers(&**material)?, &[], &[], &EquilibriumSettings::default())?;
     let y = unknowns.start();
     let solved: Vec<Result<Vec<Vec3>>> = problem
         .captures

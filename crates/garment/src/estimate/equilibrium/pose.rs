@@ -1,11 +1,12 @@
 //! One pose: its solver, its shape, and how that answers to the unknowns.
 
 use super::super::capture::{Capture, Surroundings};
+use super::super::cut::eased;
 use super::super::rows::{Comparison, Row};
 use super::Problem;
-use super::unknowns::{Unknowns, eased};
+use super::unknowns::Unknowns;
 use crate::energy::Attachment;
-use crate::solver::{Obstacle, Scene, Solution, Solver, SolverSettings, Springs};
+use crate::solver::{Contacts, Obstacle, Scene, Solution, Solver, SolverSettings, Springs};
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialModel;
 use caphy_core::{Error, Result, Vec3};
@@ -72,7 +73,8 @@ pub(crate) struct PoseFit<'p> {
     /// Noise of the scan [m].
     pub(crate) sigma: f64,
     solver: Solver,
-    ease: [f64; 2],
+    /// Of the solver's rest state, as the unknowns have it; empty: as cut.
+    ease: Vec<f64>,
     /// The present shape [m].
     pub(crate) x: Vec<Vec3>,
     /// Where contact pairs and friction were last looked for: trials hold them, or a step would be judged by which pair flips.
@@ -96,7 +98,7 @@ impl<'p> PoseFit<'p> {
             comparison: Comparison::new(&problem.rest, &capture.scan, &capture.fixed)?,
             sigma: capture.noise(&problem.rest)?,
             solver,
-            ease: [0.0; 2],
+            ease: Vec::new(),
             x: capture.start.clone(),
             contacts: None,
             settled: false,
@@ -106,11 +108,11 @@ impl<'p> PoseFit<'p> {
         self.contacts = None;
         self.solver.set_settings(settings)
     }
-    fn configure(&mut self, material: &Arc<dyn MaterialModel>, ease: [f64; 2]) -> Result<()> {
+    fn configure(&mut self, material: &Arc<dyn MaterialModel>, ease: &[f64]) -> Result<()> {
         if ease != self.ease {
-            let rest = eased(&self.problem.rest, ease)?;
+            let rest = eased(&self.problem.rest, &self.problem.parts, ease)?;
             self.solver = Solver::new(&rest, material.clone(), self.problem.forces, *self.solver.settings())?;
-            self.ease = ease;
+            self.ease = ease.to_vec();
         } else {
             self.solver.set_material(material.clone());
         }
@@ -152,7 +154,7 @@ impl<'p> PoseFit<'p> {
         if forecast.is_some() {
             solver.set_settings(SolverSettings { iterations: settings.iterations.min(TRIAL_STEPS), ..settings })?;
         }
-        let how = (self.settled && body.is_some(), self.contacts.as_ref());
+        let how = How::new(self.settled && body.is_some(), self.contacts.as_ref(), capture);
         let solution = in_scene(capture, body.as_ref(), pull, |scene| solved(solver, how, scene, &start));
         solver.set_settings(settings)?;
         let solution = solution?;
@@ -182,14 +184,11 @@ impl<'p> PoseFit<'p> {
         let capture = self.capture;
         let solver = &self.solver;
         let mut changes: Vec<Vec<f64>> = Vec::new();
-        for axis in 0..2 {
-            if unknowns.ease_at(axis).is_none() {
-                continue;
-            }
+        for which in 0..ease.len() {
             let force = |sign: f64| -> Result<Vec<f64>> {
-                let mut to = ease;
-                to[axis] += sign * EASE_STEP;
-                let rest = eased(&self.problem.rest, to)?;
+                let mut to = ease.to_vec();
+                to[which] += sign * EASE_STEP;
+                let rest = eased(&self.problem.rest, &self.problem.parts, &to)?;
                 let other = Solver::new(&rest, material.clone(), self.problem.forces, *solver.settings())?;
                 in_scene(capture, body.as_ref(), pull, |scene| other.gradient_at(scene, &trial.solution))
             };
@@ -241,7 +240,7 @@ impl<'p> PoseFit<'p> {
         self.configure(material, unknowns.eases(y))?;
         self.solver.set_settings(SolverSettings { soft_modes: count, ..settings })?;
         let body = self.capture.body.as_ref().map(|b| unknowns.body(b, y));
-        let how = (self.settled && body.is_some(), self.contacts.as_ref());
+        let how = How::new(self.settled && body.is_some(), self.contacts.as_ref(), self.capture);
         let (capture, x, solver) = (self.capture, &self.x, &mut self.solver);
         let answer = in_scene(capture, body.as_ref(), None, |scene| solved(solver, how, scene, x));
         self.solver.set_settings(settings)?;
@@ -249,14 +248,33 @@ impl<'p> PoseFit<'p> {
     }
 }
 
-/// A shape at rest: with contacts held where it `settled` before, else looked for until they stay.
-fn solved(
-    solver: &mut Solver,
-    (settled, contacts): (bool, Option<&Solution>),
-    scene: &Scene<'_>,
-    start: &[Vec3],
-) -> Result<Solution> {
-    if settled { solver.solve_held(contacts, scene, start, &|_| {}) } else { solver.solve(scene, start, &|_| {}) }
+/// Whether contacts are held.
+#[derive(Clone, Copy)]
+enum How<'a> {
+    Held(Contacts<'a>),
+    /// Looked for until they stay, from a solution before where there is one.
+    Found(Option<&'a Solution>),
+}
+
+impl<'a> How<'a> {
+    /// Held where a pose has `settled` before.
+    fn new(settled: bool, contacts: Option<&'a Solution>, capture: &'a Capture) -> Self {
+        let worn = capture.worn.as_deref();
+        match (settled, contacts) {
+            (true, Some(contacts)) => Self::Held(Contacts::Of(contacts)),
+            (true, None) => Self::Held(Contacts::AtStart(worn)),
+            (false, _) => Self::Found(worn),
+        }
+    }
+}
+
+/// A shape at rest.
+fn solved(solver: &mut Solver, how: How<'_>, scene: &Scene<'_>, start: &[Vec3]) -> Result<Solution> {
+    match how {
+        How::Held(contacts) => solver.solve_held(contacts, scene, start, &|_| {}),
+        How::Found(Some(worn)) => solver.solve_from(worn, scene, start, &|_| {}),
+        How::Found(None) => solver.solve(scene, start, &|_| {}),
+    }
 }
 
 /// Change of a row's distance [m] when the vertices move along `s`.

@@ -1,14 +1,12 @@
 //! Everything that the fit turns: the fabric, and what nobody wants to know but has to.
 
 use super::super::capture::{Capture, Surroundings};
+use super::super::cut::CutPart;
 use super::super::reduction::Reduction;
 use super::super::settings::EquilibriumSettings;
-use crate::GarmentRest;
 use caphy_core::{Error, Result, Vec3};
 use nalgebra::DMatrix;
 
-/// Names of the rest-shape ease: shares by which the cut differs along u and v. The grain of worn garments follows the limb.
-const EASE: [&str; 2] = ["ease along the grain (length)", "ease across the grain (girth)"];
 /// Names of the body's offset [m]: the same everywhere, and growing along x, y, z of the first body.
 const OFFSET: [&str; 4] = ["body offset", "body offset by x", "body offset by y", "body offset by z"];
 /// An offset moves by one in this many metres in the fit, so that all unknowns are of one size.
@@ -17,7 +15,8 @@ const OFFSET_SCALE_M: f64 = 1e-3;
 /// What unknowns there are, in their order: fabric, ease, offset.
 pub(crate) struct Unknowns {
     pub(crate) reduction: Reduction,
-    ease: bool,
+    /// Names of the rest-shape eases; none where the cut is believed.
+    ease: Vec<String>,
     /// Values of the offset's four shapes at each body vertex, in [−1, 1].
     offset: Option<Vec<[f64; 4]>>,
     pub(crate) prior_sd: Vec<f64>,
@@ -26,12 +25,15 @@ pub(crate) struct Unknowns {
 }
 
 impl Unknowns {
-    pub(crate) fn new(reduction: Reduction, captures: &[Capture], settings: &EquilibriumSettings) -> Result<Self> {
+    pub(crate) fn new(
+        reduction: Reduction,
+        parts: &[CutPart],
+        captures: &[Capture],
+        settings: &EquilibriumSettings,
+    ) -> Result<Self> {
         let mut prior_sd = vec![settings.prior_log_sd; reduction.len()];
-        let ease = settings.ease_sd > 0.0;
-        if ease {
-            prior_sd.extend([settings.ease_sd; 2]);
-        }
+        let ease = if settings.ease_sd > 0.0 { CutPart::unknowns(parts) } else { Vec::new() };
+        prior_sd.extend(ease.iter().map(|_| settings.ease_sd));
         let mut offset = None;
         if settings.body_offset_sd_m > 0.0 {
             offset = Some(offset_shapes(captures)?);
@@ -56,22 +58,19 @@ impl Unknowns {
         if k < self.fabric() { self.reduction.limits(k) } else { [-5.0, 5.0].map(|f| f * self.prior_sd[k]) }
     }
     /// Name, unit and metres or shares per unit of an unknown that is not the fabric's.
-    pub(crate) fn nuisance(&self, k: usize) -> (&'static str, &'static str, f64) {
+    pub(crate) fn nuisance(&self, k: usize) -> (&str, &'static str, f64) {
         let at = k - self.fabric();
-        if self.ease && at < 2 {
-            return (EASE[at], "1", 1.0);
+        match self.ease.get(at) {
+            Some(name) => (name, "1", 1.0),
+            None => (OFFSET[at - self.ease.len()], "m", OFFSET_SCALE_M),
         }
-        (OFFSET[at - if self.ease { 2 } else { 0 }], "m", OFFSET_SCALE_M)
     }
-    pub(crate) fn eases(&self, y: &[f64]) -> [f64; 2] {
-        if self.ease { [y[self.fabric()], y[self.fabric() + 1]] } else { [0.0; 2] }
-    }
-    /// Which unknowns are eases, by axis.
-    pub(crate) fn ease_at(&self, axis: usize) -> Option<usize> {
-        self.ease.then_some(self.fabric() + axis)
+    /// The eases among unknowns, in the order of [`CutPart::unknowns`].
+    pub(crate) fn eases<'y>(&self, y: &'y [f64]) -> &'y [f64] {
+        &y[self.fabric()..][..self.ease.len()]
     }
     pub(crate) fn offset_at(&self, shape: usize) -> Option<usize> {
-        self.offset.as_ref().map(|_| self.fabric() + if self.ease { 2 } else { 0 } + shape)
+        self.offset.as_ref().map(|_| self.fabric() + self.ease.len() + shape)
     }
     /// The body with its offset.
     pub(crate) fn body(&self, body: &Surroundings, y: &[f64]) -> Surroundings {
@@ -122,15 +121,4 @@ fn offset_shapes(captures: &[Capture]) -> Result<Vec<[f64; 4]>> {
             [1.0, s.x, s.y, s.z]
         })
         .collect())
-}
-
-/// The same garment cut longer by a share along u and wider along v; its mass stays.
-///
-/// # Errors
-/// What [`GarmentRest::new`] refuses.
-pub(crate) fn eased(rest: &GarmentRest, ease: [f64; 2]) -> Result<GarmentRest> {
-    let uv = rest.material_uv.iter().map(|f| f.map(|p| [p[0] * (1.0 + ease[0]), p[1] * (1.0 + ease[1])])).collect();
-    let mut out = GarmentRest::new(rest.name.clone(), rest.template.clone(), uv, rest.density, rest.grain.clone())?;
-    out.held.clone_from(&rest.held);
-    Ok(out)
 }
