@@ -66,6 +66,10 @@ impl Experiment {
     pub(crate) fn run(&self) -> Summary {
         self.try_run().unwrap_or_else(|e| panic!("{e}"))
     }
+    pub(crate) fn run_until(&self, stage: &str) -> Summary {
+        let run = Run::open(&self.config(), Some(self.out())).and_then(|run| run.until(stage));
+        run.and_then(|run| run.all()).unwrap_or_else(|e| panic!("{e}"))
+    }
     /// The text of the error that a run ends with.
     pub(crate) fn error(&self) -> String {
         match self.try_run() {

@@ -396,8 +396,8 @@ fn a_changed_section_runs_what_depends_on_it() {
 #[test]
 fn another_fabric_keeps_the_fitted_body() {
     let experiment = Experiment::copy_of(finished(), &edited(TINY, &[("navy-sparkle-sweat", "ivory-rib-knit")]));
-    let ran = experiment.run().ran;
-    assert_eq!(ran, STAGES[2..]);
+    let ran = experiment.run_until("train-optimised").ran;
+    assert_eq!(ran, STAGES[2..5]);
 }
 
 #[test]
