@@ -13,9 +13,9 @@ type OfPaper = fn(&PaperRow) -> [f64; 2];
 
 /// A plot per measure that differences are told of: rows against the one that others are compared with, beside the paper's.
 fn plots(table: &Table, rows: &[&Row]) -> String {
-    let chamfer: (&str, OfPaper) = ("paper, its two cases", |p| p.chamfer_mm);
+    let chamfer: (&str, OfPaper) = ("the paper’s two cases", |p| p.chamfer_mm);
     // Another measure than ours, and the only one of pictures that there is.
-    let perceptual: (&str, OfPaper) = ("paper, its two cases, perceptual error by VGG-16", |p| p.perceptual);
+    let perceptual: (&str, OfPaper) = ("the paper’s two cases, by VGG-16", |p| p.perceptual);
     let base = rows.iter().find(|r| r.title == table.against).and_then(|r| r.paper);
     let mut out = String::new();
     for (i, name) in COMPARED.into_iter().enumerate() {

@@ -15,9 +15,11 @@ pub struct Difference {
 }
 
 /// Width of the drawing with names on its left [px], where the names end, and room at its right.
-const WIDTH: f64 = 760.0;
-const NAMES: f64 = 250.0;
-const RIGHT: f64 = 30.0;
+const WIDTH: f64 = 560.0;
+const NAMES: f64 = 222.0;
+const RIGHT: f64 = 24.0;
+/// Where the legend begins [px], and its second entry.
+const LEGEND: [f64; 2] = [18.0, 218.0];
 /// Heights [px]: of a row, above the first, below the last.
 const ROW: f64 = 24.0;
 const ABOVE: f64 = 52.0;
@@ -93,11 +95,12 @@ pub fn intervals(title: &str, axis: &str, others: &str, rows: &[Difference]) -> 
     }
     let _ = write!(
         svg,
-        "<circle cx=\"{NAMES}\" cy=\"34\" r=\"4\" fill=\"{own}\"/><text x=\"{:.1}\" y=\"38\" class=\"n\">measured, 95 % of the draws</text>",
-        NAMES + 10.0
+        "<circle cx=\"{:.1}\" cy=\"34\" r=\"4\" fill=\"{own}\"/><text x=\"{:.1}\" y=\"38\" class=\"n\">measured, 95 % of the draws</text>",
+        LEGEND[0],
+        LEGEND[0] + 10.0
     );
     if rows.iter().any(|row| !row.others.is_empty()) {
-        let x = NAMES + 200.0;
+        let x = LEGEND[1];
         let _ = write!(
             svg,
             "<path d=\"M{:.1} 34L{x:.1} 29L{:.1} 34L{x:.1} 39Z\" stroke=\"{paper}\" class=\"c\"/><text x=\"{:.1}\" y=\"38\" class=\"n\">{}</text>",
