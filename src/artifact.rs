@@ -45,21 +45,23 @@ pub fn write_atomically_with(path: &Path, write: impl FnOnce(&mut dyn Write) -> 
     name.push(".tmp");
     let temporary = path.with_file_name(name);
     let failed = |e| Error::io(path, "write", e);
-    let mut file = std::io::BufWriter::new(std::fs::File::create(&temporary).map_err(failed)?);
-    if let Err(error) = write(&mut file) {
+    let file = std::fs::File::create(&temporary).map_err(failed)?;
+    let fill = || -> Result<()> {
+        let mut file = std::io::BufWriter::new(file);
+        write(&mut file)?;
+        let file = file.into_inner().map_err(|e| failed(e.into_error()))?;
+        file.sync_all().and_then(|()| std::fs::rename(&temporary, path)).map_err(failed)
+    };
+    if let Err(error) = fill() {
+        // Half a file would fill a full disk for nothing.
         std::fs::remove_file(&temporary).ok();
         return Err(error);
     }
-    let finish = || -> std::io::Result<()> {
-        file.into_inner().map_err(std::io::IntoInnerError::into_error)?.sync_all()?;
-        std::fs::rename(&temporary, path)?;
-        // The rename itself is durable once the folder is synced; not every system can open folders.
-        if let Ok(folder) = std::fs::File::open(folder) {
-            folder.sync_all().ok();
-        }
-        Ok(())
-    };
-    finish().map_err(failed)
+    // The rename itself is durable once the folder is synced; not every system can open folders.
+    if let Ok(folder) = std::fs::File::open(folder) {
+        folder.sync_all().ok();
+    }
+    Ok(())
 }
 
 /// Writes an artifact and returns its content hash.

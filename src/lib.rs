@@ -13,6 +13,7 @@ pub mod dressed;
 pub mod estimate;
 pub mod files;
 pub mod fixed_shape;
+pub mod forecast;
 pub mod garment;
 pub mod inference;
 pub mod inputs;

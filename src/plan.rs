@@ -2,8 +2,10 @@
 //! `caphy run --plan`, and obeyed: what is off is neither run nor allocated.
 
 use crate::config::{Choice, Config, Schedule, SubjectConfig};
+use crate::forecast::Forecast;
 use crate::garment::FittedGarment;
 use crate::memory::{MemoryNeed, Sizes, available, readable};
+use crate::progress::duration;
 use crate::scene::{REACH, Scene};
 use crate::stage::alternation_names;
 use crate::stage::preprocess::Subject;
@@ -42,6 +44,8 @@ pub struct ScenePlan {
     pub motion: Option<PlannedMotion>,
     /// The scans of a folder, as a look at each file shows them.
     pub scans: Vec<PlannedScan>,
+    /// How long stages will take, where that was asked for.
+    pub time: Option<Forecast>,
     /// Memory that was free when the plan was made [bytes], where the system says so.
     pub available: Option<usize>,
 }
@@ -154,7 +158,15 @@ impl ScenePlan {
         let shown: Vec<&'static str> = stages.iter().filter(|s| s.off.is_none()).map(|s| s.name).collect();
         stages.push(PlannedStage { name: "report", needs: shown, off: None, done: false, again: false });
         let budget = config.choice.as_ref().map(Choice::text);
-        Self { budget, stages, garments: Vec::new(), motion: None, scans: Vec::new(), available: available() }
+        Self {
+            budget,
+            stages,
+            garments: Vec::new(),
+            motion: None,
+            scans: Vec::new(),
+            time: None,
+            available: available(),
+        }
     }
 
     /// Narrows the plan to one stage and what it needs.
@@ -311,7 +323,12 @@ impl ScenePlan {
                 (None, false) if stage.again => "to run again".into(),
                 (None, false) => "to run".into(),
             };
-            let _ = writeln!(out, "  {:18} {state}", stage.name);
+            let seconds = self.time.as_ref().and_then(|time| time.seconds.get(stage.name));
+            let about = seconds.map_or(String::new(), |seconds| format!(", about {}", duration(*seconds)));
+            let _ = writeln!(out, "  {:18} {state}{about}", stage.name);
+        }
+        if let Some(time) = &self.time {
+            out.push_str(&time.text());
         }
         for scan in &self.scans {
             let role = if scan.held_out { " (held out)" } else { "" };

@@ -1,4 +1,8 @@
-//! Line plots as SVG, for the report.
+//! Plots as SVG, for reports.
+
+mod intervals;
+
+pub use intervals::{Difference, intervals};
 
 use std::fmt::Write;
 

@@ -2,17 +2,17 @@
 
 mod pace;
 
-pub(crate) use pace::words;
 pub use pace::{Pace, Work};
+pub(crate) use pace::{duration, words};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-/// Prints a line that stays, like those of a stage.
+/// Prints a line that stays, like those of a stage. A log that cannot be written (its disk is full, its reader has gone) ends no run.
 pub fn say(name: &str, line: &str) {
-    eprintln!("{name:>12} {line}");
+    writeln!(std::io::stderr(), "{name:>12} {line}").ok();
 }
 
 /// Progress of one stage; safe to call from any thread.
@@ -44,7 +44,7 @@ impl Progress {
             bar
         });
         if bar.is_none() {
-            eprintln!("{stage:>12} started");
+            say(stage, "started");
         }
         let started = Instant::now();
         let lines = Lines { last: started, growth: pace::Growth::default() };
@@ -82,14 +82,15 @@ impl Progress {
         let now = Instant::now();
         if now - lines.last >= LINE_EVERY {
             lines.last = now;
-            eprintln!("{:>12} {:3.0} %, {}, {message}", self.stage, (100.0 * share).floor(), pace::words(left));
+            let line = format!("{:3.0} %, {}, {message}", (100.0 * share).floor(), pace::words(left));
+            say(&self.stage, &line);
         }
     }
     /// Prints a line that stays.
     pub fn note(&self, line: &str) {
         match &self.bar {
             Some(bar) => bar.println(format!("{:>12} {line}", self.stage)),
-            None => eprintln!("{:>12} {line}", self.stage),
+            None => say(&self.stage, line),
         }
     }
     /// Ends the bar and returns the seconds it took.
@@ -98,7 +99,7 @@ impl Progress {
             bar.finish_and_clear();
         }
         let seconds = self.started.elapsed().as_secs_f64();
-        eprintln!("{:>12} done in {seconds:.1} s", self.stage);
+        say(&self.stage, &format!("done in {seconds:.1} s"));
         seconds
     }
 }

@@ -9,6 +9,7 @@ pub use replay::{Replayed, replay};
 use crate::artifact;
 use crate::config::{Choice, Config, PluginConfig, Setting, SubjectConfig};
 use crate::files::ProjectFiles;
+use crate::forecast;
 use crate::manifest::{CONFIG, Manifest, Program, StageRecord};
 use crate::plan::ScenePlan;
 use crate::plugins::Plugins;
@@ -32,6 +33,10 @@ pub struct Run {
     plan: ScenePlan,
     dry: bool,
     profile: bool,
+    /// Whether a plan also tells times.
+    timed: bool,
+    /// Scans and subject, where a plan found them there.
+    known: Option<(Scans, Subject)>,
     ran: Vec<&'static str>,
     fabrics: Vec<stage::optimise::Estimates>,
     manifest: Manifest,
@@ -129,7 +134,10 @@ impl Run {
         }
         let resolved = toml::to_string(&config)
             .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
-        artifact::write_atomically(&folder.join(CONFIG), resolved.as_bytes())?;
+        let path = folder.join(CONFIG);
+        if !std::fs::read(&path).is_ok_and(|old| old == resolved.as_bytes()) {
+            artifact::write_atomically(&path, resolved.as_bytes())?;
+        }
         let timings = std::fs::read(folder.join("timings.json"))
             .ok()
             .and_then(|bytes| serde_json::from_slice(&bytes).ok())
@@ -157,6 +165,8 @@ impl Run {
             plan,
             dry: false,
             profile: false,
+            timed: false,
+            known: None,
             ran: Vec::new(),
             fabrics: Vec::new(),
             manifest,
@@ -202,6 +212,12 @@ impl Run {
         self
     }
 
+    /// Has the plan say how long stages will take: see [`crate::forecast`].
+    pub fn timed(mut self) -> Self {
+        self.timed = true;
+        self
+    }
+
     /// Everything, from scans to the report.
     pub fn all(mut self) -> Result<Summary> {
         if let Some(choice) = &self.config.choice {
@@ -217,15 +233,21 @@ impl Run {
         Ok(Summary { folder: self.folder, ran: self.ran, table: told, profile, fabrics: self.fabrics, report })
     }
 
-    /// What the run would do: nothing but the dressing of a subject without scans, which takes seconds, is run.
+    /// What the run would do: nothing but the dressing of a subject without scans, which takes seconds, is run; with
+    /// [`Run::timed`], stages are tried beside it.
     ///
     /// # Errors
     /// As [`Run::all`], for what is looked at.
     pub fn plan(mut self) -> Result<ScenePlan> {
         match self.stages(true) {
-            Ok(_) | Err(Halt::NotDone(_)) => Ok(self.plan),
-            Err(Halt::Failed(error)) => Err(error),
+            Ok(_) | Err(Halt::NotDone(_)) => {}
+            Err(Halt::Failed(error)) => return Err(error),
         }
+        if self.timed && self.plan.stages.iter().any(|s| s.off.is_none() && !s.done) {
+            let known = self.known.take();
+            self.plan.time = Some(forecast::forecast(&self.config, &self.files, &self.folder, &self.plan, known)?);
+        }
+        Ok(self.plan)
     }
 
     /// All stages that are on, in their order; returns the tables of what was measured. `dry`: up to the first that is not done.
@@ -289,6 +311,7 @@ impl Run {
         };
         if dry {
             self.describe(&subject)?;
+            self.known = self.timed.then(|| (scans.clone(), subject.clone()));
         }
 
         let key = part(&["upper", "lower", "body", "net", "motion", "train"]);

@@ -65,7 +65,7 @@ pub struct Compared {
 }
 
 /// Measures that differences are told of.
-const COMPARED: [&str; 3] = ["mean of both, mm", "normal maps", "1 − MS-SSIM"];
+pub(super) const COMPARED: [&str; 3] = ["mean of both, mm", "normal maps", "1 − MS-SSIM"];
 
 impl Table {
     /// From the scores of variants, shape [variant][seed].

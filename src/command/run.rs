@@ -13,6 +13,7 @@ use std::time::Instant;
 pub(crate) const EXAMPLES: &str = "Examples:
   caphy run configs/quickstart.toml
   caphy run configs/walker.toml --plan
+  caphy run configs/quickstart.toml --plan --time
   caphy run configs/walker.toml --only train
   caphy run configs/quickstart.toml --set train.rounds=30 --set upper.material.fabric=ivory-rib-knit --out longer
   caphy run --compare runs/quickstart longer
@@ -42,6 +43,9 @@ pub(crate) struct Arguments {
     /// Say what would be run, and what the scene needs of body, net and energies; run nothing.
     #[arg(long, requires = "config")]
     plan: bool,
+    /// With --plan: also say how long every stage will take here, by trying it on two scans and a few steps.
+    #[arg(long, requires = "plan")]
+    time: bool,
     /// Say where the time of training steps goes.
     #[arg(long)]
     profile: bool,
@@ -94,6 +98,9 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
         run = run.from(stage)?;
     }
     if arguments.plan {
+        if arguments.time {
+            run = run.timed();
+        }
         let plan = run.plan()?;
         if arguments.json {
             println!("{}", json(&plan)?);

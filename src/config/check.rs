@@ -1,6 +1,6 @@
 //! Values that cannot be used are refused before anything runs.
 
-use super::{ClipConfig, Config, SubjectConfig};
+use super::{ClipConfig, Config, HeldOut, SubjectConfig};
 use crate::files::ProjectFiles;
 use caphy_core::{Error, Result};
 use caphy_garment::energy::ContactOptions;
@@ -139,9 +139,19 @@ impl Config {
         self.registration.check()?;
         // Sizes that no net has; the real numbers of inputs and outputs follow from body and garment.
         self.net.net(1, 3)?;
+        let held_out = match &self.subject {
+            SubjectConfig::Synthetic(s) => Some(&s.held_out),
+            SubjectConfig::Scans(s) => Some(&s.held_out),
+            SubjectConfig::Dressed(_) => None,
+        };
+        if let Some(HeldOut::Share(share)) = held_out
+            && !(0.0..1.0).contains(share)
+        {
+            let remedy = "give a share below 1, as 0.2, or a list of names";
+            return Err(Error::config("subject.held_out", share.to_string(), remedy));
+        }
         if let SubjectConfig::Synthetic(s) = &self.subject {
             count("subject.scans", s.scans, 2, 1000)?;
-            count("subject.held_out", s.held_out, 0, s.scans - 1)?;
             resolution("subject.resolution_m", s.resolution_m)?;
             s.check()?;
             let reads = self.segmenter.as_ref().and_then(|table| table.table().get("type")).and_then(|t| t.as_str());

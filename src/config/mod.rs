@@ -35,7 +35,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// A whole experiment.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Where results go and what seeds chance.
@@ -243,7 +243,7 @@ impl Default for ViewsConfig {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GarmentConfig {
-    /// The fabric that training starts from.
+    /// The fabric that training starts from; `docs/scans.md` says which one to take for which garment.
     pub material: PluginTable,
     /// Its mass [g], weighed: sets the area density, without which scans at rest only show stiffness over density. Default: the
     /// fabric's density.

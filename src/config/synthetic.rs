@@ -1,6 +1,6 @@
 //! `[subject] type = "synthetic"`: a generated person with known shape, clothes and fabrics, and the rig that scans them.
 
-use super::ClipConfig;
+use super::{ClipConfig, HeldOut};
 use crate::plugins::PluginTable;
 use caphy_core::{Error, Result};
 use caphy_garment::template::{GarmentKind, Style};
@@ -12,9 +12,9 @@ use serde::{Deserialize, Serialize};
 pub struct SyntheticConfig {
     /// Number of scans.
     pub scans: usize,
-    /// How many of them are held out, from the end. Default 1.
-    #[serde(default = "one_scan")]
-    pub held_out: usize,
+    /// Scans that are kept for evaluation: names (`scan-00` and on), or a share that `run.seed` draws. Default 0.2, as in the paper.
+    #[serde(default)]
+    pub held_out: HeldOut,
     /// Clip that poses are taken from, evenly from its first to its last frame. Default: none, the built-in poses of a scan session,
     /// the A-pose first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -120,9 +120,6 @@ impl Default for RigConfig {
     }
 }
 
-fn one_scan() -> usize {
-    1
-}
 fn garment_resolution() -> f64 {
     0.027
 }

@@ -112,11 +112,16 @@ impl Growth {
 /// A remaining time in words; something that is not done is never `0 s` away from it.
 pub(crate) fn words(left: Option<f64>) -> String {
     let Some(left) = left else { return "remaining time not known yet".into() };
-    let seconds = left.ceil().max(1.0) as u64;
+    format!("{} left", duration(left))
+}
+
+/// A time in words, rounded up to whole seconds, at least one.
+pub(crate) fn duration(seconds: f64) -> String {
+    let seconds = seconds.ceil().max(1.0) as u64;
     match seconds {
-        0..100 => format!("{seconds} s left"),
-        100..6000 => format!("{} min {:02} s left", seconds / 60, seconds % 60),
-        _ => format!("{} h {:02} min left", seconds / 3600, seconds % 3600 / 60),
+        0..100 => format!("{seconds} s"),
+        100..6000 => format!("{} min {:02} s", seconds / 60, seconds % 60),
+        _ => format!("{} h {:02} min", seconds / 3600, seconds % 3600 / 60),
     }
 }
 

@@ -218,6 +218,20 @@ mod tests {
         assert!((0..24).any(falls), "tension that is not monotone, as published");
     }
 
+    /// The table that helps to choose a start: its numbers are these, and each fabric is in it.
+    #[test]
+    fn the_table_by_garment_holds_what_is_measured() {
+        let page = include_str!("../../docs/scans.md");
+        for f in facts().expect("ten fabrics") {
+            let row = page.lines().find(|line| line.contains(&format!("| `{}` |", f.name))).expect("a row per fabric");
+            let [k0, _, k2, k3] = f.rest_stiffness_n_per_m;
+            let bend: Vec<String> = f.bending_nm.iter().map(|row| format!("{:.0}", 1e6 * row[0])).collect();
+            let numbers =
+                format!("| {:.0} | {k0:.0}, {k2:.0}, {k3:.0} | {} |", 1e3 * f.density_kg_per_m2, bend.join(", "));
+            assert!(row.ends_with(&numbers), "{numbers} in {row}");
+        }
+    }
+
     #[test]
     fn plots_are_files_that_stand_alone() {
         let folder = tempfile::tempdir().expect("a folder");

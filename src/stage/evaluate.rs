@@ -33,6 +33,7 @@ use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 /// All measurements.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -295,6 +296,9 @@ impl Scores {
     }
 }
 
+/// Time of the comparison of all scans, by its name in `timings.json` [s].
+pub(crate) const SCANS_TIME: &str = "evaluate: scans";
+
 /// Measures an avatar.
 pub fn run(
     context: &Context<'_>,
@@ -339,6 +343,7 @@ pub fn run(
         .collect::<Result<Vec<_>>>()?;
     let filters: Vec<SpectrumFilter> = subject.garments.iter().map(|g| SpectrumFilter::new(&g.mesh)).collect();
     let finished = AtomicUsize::new(0);
+    let started = Instant::now();
     // One error for one input, whatever the number of threads.
     let compared: Vec<Result<Vec<GarmentScore>>> = subject
         .scans
@@ -378,6 +383,7 @@ pub fn run(
             Ok(scores)
         })
         .collect();
+    context.time(SCANS_TIME, started.elapsed().as_secs_f64());
     for (row, scores) in rows.iter_mut().zip(compared) {
         row.garments = scores?;
     }

@@ -79,6 +79,9 @@ pub struct ScanFile {
     pub path: PathBuf,
     /// Kept for evaluation: no stage before it learns shape, template, fabric or net from it.
     pub held_out: bool,
+    /// Hash of the file where caphy made it; none for a user's.
+    #[serde(default)]
+    pub content: Option<String>,
 }
 
 /// The scans of a subject.

@@ -29,6 +29,7 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
 
 /// A subject after preprocessing.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -126,6 +127,7 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
         failures.push(error);
     };
     let done = AtomicUsize::new(0);
+    let started = Instant::now();
     let known: Vec<Result<LabelledScan>> = scans
         .list
         .par_iter()
@@ -147,7 +149,10 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
             Err(error) => skip(file, error),
         }
     }
+    context.time(SCANS_TIME, started.elapsed().as_secs_f64());
+    let started = Instant::now();
     let fitted = fit_bodies(context, &*body, &mut labelled, &mut skip)?;
+    context.time(BODIES_TIME, started.elapsed().as_secs_f64());
     let Some((shape, displacement)) = fitted else {
         // The first problem: later ones often follow from the same cause.
         return Err(failures
@@ -277,6 +282,9 @@ fn labelled_scan(
     Ok(made)
 }
 
+/// Times of two parts, by their names in `timings.json` [s]: labels and start poses of all scans, and the fit of all bodies.
+pub(crate) const SCANS_TIME: &str = "preprocess: labels and starts";
+pub(crate) const BODIES_TIME: &str = "preprocess: bodies";
 /// Share of vertices without a label of their own from which on it is worth a note.
 const UNSEEN: f64 = 0.2;
 /// Distance from the body at which a scan point is not this person [m]: beyond wide sleeves and long hair.

@@ -45,7 +45,7 @@ impl ScanFrame {
 /// Scans of a user's folder.
 ///
 /// # Errors
-/// [`Error::Config`] for a folder without a scan to learn from, two files of one name, a held-out scan that is not there.
+/// [`Error::Config`] for a folder without scans, two files of one name, a held-out scan that is not there, none to learn from.
 pub fn scan_list(files: &ProjectFiles, config: &ScansConfig, seed: u64) -> Result<Scans> {
     let paths = files.list(&config.folder, &SCAN_ENDINGS)?;
     let mut list = Vec::new();
@@ -58,27 +58,31 @@ pub fn scan_list(files: &ProjectFiles, config: &ScansConfig, seed: u64) -> Resul
                 "rename or move one of them",
             ));
         }
-        list.push(ScanFile { name, path, held_out: false });
+        list.push(ScanFile { name, path, held_out: false, content: None });
+    }
+    if list.is_empty() {
+        return Err(Error::config(
+            "subject.folder",
+            format!("{} holds no scan (*.ply, *.obj)", config.folder.display()),
+            "give a folder with at least one scan that is not held out",
+        ));
     }
     let names: Vec<String> = list.iter().map(|s| s.name.clone()).collect();
     let held = split::held_out(&names, &config.held_out, seed)?;
     list.iter_mut().zip(held).for_each(|(scan, held)| scan.held_out = held);
-    if !list.iter().any(|s| !s.held_out) {
-        return Err(Error::config(
-            "subject.folder",
-            format!("{} holds no scan to learn from (*.ply, *.obj)", config.folder.display()),
-            "give a folder with at least one scan that is not held out",
-        ));
-    }
     Ok(Scans { list, truth: None })
 }
 
 /// Hash of one scan's files: itself, its materials and textures.
 ///
 /// # Errors
-/// [`Error::Io`].
+/// [`Error::Io`]; [`Error::Format`] for a scan that caphy made and somebody changed.
 pub fn hash_scan(files: &ProjectFiles, file: &ScanFile) -> Result<String> {
     let mut all = artifact::hash(&files.read(&file.path)?);
+    if let Some(made) = file.content.as_ref().filter(|made| **made != all) {
+        let problem = format!("its hash is {all}, the scan that was made had {made}: damaged or edited");
+        return Err(Error::format(&file.path, "content", problem, "delete the file: it will then be made again"));
+    }
     // A damaged file is known by its own bytes.
     for beside in texture_files(&file.path, files).unwrap_or_default() {
         all += &files.read(&beside).map_or_else(|_| "missing".into(), |bytes| artifact::hash(&bytes));

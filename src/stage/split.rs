@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 /// alike: where scans come in several, none is torn.
 ///
 /// # Errors
-/// [`Error::Config`] for a named scan that is not there, or a share outside [0, 1).
+/// [`Error::Config`] for a named scan that is not there, or where all are named.
 pub(super) fn held_out(names: &[String], how: &HeldOut, seed: u64) -> Result<Vec<bool>> {
     let share = match how {
         HeldOut::Names(held) => {
@@ -18,16 +18,17 @@ pub(super) fn held_out(names: &[String], how: &HeldOut, seed: u64) -> Result<Vec
                 return Err(Error::config(
                     "subject.held_out",
                     format!("there is no scan `{missing}`"),
-                    format!("the folder has: {}", names.join(", ")),
+                    format!("there are: {}", names.join(", ")),
                 ));
             }
-            return Ok(names.iter().map(|name| held.contains(name)).collect());
+            let out: Vec<bool> = names.iter().map(|name| held.contains(name)).collect();
+            if !names.is_empty() && out.iter().all(|held| *held) {
+                let problem = format!("names all of {}", names.join(", "));
+                return Err(Error::config("subject.held_out", problem, "leave at least one scan to learn from"));
+            }
+            return Ok(out);
         }
-        HeldOut::Share(share) if (0.0..1.0).contains(share) => *share,
-        HeldOut::Share(share) => {
-            let remedy = "give a share below 1, as 0.2, or a list of names";
-            return Err(Error::config("subject.held_out", share.to_string(), remedy));
-        }
+        HeldOut::Share(share) => *share,
     };
     let mut sequences: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (i, name) in names.iter().enumerate() {
@@ -79,7 +80,9 @@ mod tests {
         assert!(count(&names[..2], 0.2, 1).is_empty() && count(&names, 0.0, 1).is_empty());
         assert_eq!(count(&names[..3], 0.2, 1).len(), 1);
         assert_eq!(count(&names[..4], 0.99, 5).len(), 3, "one stays to learn from");
-        assert!(held_out(&names, &HeldOut::Share(1.0), 1).is_err() && held_out(&[], &HeldOut::Share(0.2), 1).is_ok());
+        assert!(held_out(&[], &HeldOut::Share(0.2), 1).is_ok());
+        let text = held_out(&names, &HeldOut::Names(names.clone()), 1).unwrap_err().to_string();
+        assert!(text.contains("to learn from"), "{text}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! A synthetic subject: a body with a known shape in known poses, garments of a known style and fabric brought to rest on it,
 //! and scans of what can be seen from outside. The rest of the pipeline reads these scans like any other.
 
-use super::{Context, ScanFile, Scans};
+use super::{Context, ScanFile, Scans, split};
 use crate::artifact;
 use crate::config::SyntheticConfig;
 use crate::motion;
@@ -28,6 +28,8 @@ pub const TRUTH: &str = "truth";
 /// Makes the subject; writes its scans under `scans/`, what is true of them under `truth/`.
 pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
     let seed = context.config.run.seed;
+    // Before anything is simulated: a name may be wrong.
+    let roles = roles(config, seed)?;
     let body: Arc<dyn caphy_core::body::BodyModel> = Arc::from(context.config.body.body(context.files)?);
     context.progress.set(0.0, "garments are cut");
     let person = Person::new(config, body, seed)?;
@@ -36,7 +38,7 @@ pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
     let poses = poses(context, config, &scene.rest_joints[0])?;
     let finished = AtomicUsize::new(0);
     // One error for one input, whatever the number of threads.
-    let captured: Vec<Result<(Worn, Scanned)>> = poses
+    let captured: Vec<Result<((Worn, Scanned), String)>> = poses
         .par_iter()
         .enumerate()
         .map(|(i, pose)| {
@@ -45,29 +47,43 @@ pub fn run(context: &Context<'_>, config: &SyntheticConfig) -> Result<Scans> {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             rng.set_stream(1000 + i as u64);
             let scanned = scan(&config.rig, &person, pose, &worn, &name, &mut rng)?;
-            context.write(&format!("scans/{name}.ply"), &caphy_formats::ply::write_ply(&scanned.scan))?;
+            let file = caphy_formats::ply::write_ply(&scanned.scan);
+            context.write(&format!("scans/{name}.ply"), &file)?;
             let labelled = Scan { labels: Some(scanned.labels.clone()), ..scanned.scan.clone() };
             context.write(&format!("{TRUTH}/{name}.ply"), &caphy_formats::ply::write_ply(&labelled))?;
             let count = finished.fetch_add(1, Ordering::Relaxed) + 1;
             context.progress.set(count as f64 / poses.len() as f64, &format!("{count} of {} scans", poses.len()));
-            Ok((worn, scanned))
+            Ok(((worn, scanned), artifact::hash(&file)))
         })
         .collect();
-    let captured = captured.into_iter().collect::<Result<Vec<_>>>()?;
+    let (captured, contents): (Vec<_>, Vec<_>) = captured.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     context.write(&format!("{TRUTH}/scans.png"), &picture(&captured)?)?;
     let truth = truth(config, &person, &poses, &captured);
     report(context, &truth);
     let json = serde_json::to_vec(&truth)
         .map_err(|e| Error::config("truth.json", e.to_string(), "report this as a defect"))?;
     context.write(&format!("{TRUTH}/truth.json"), &json)?;
-    let list = (0..poses.len())
-        .map(|i| ScanFile {
-            name: name(i),
-            path: format!("scans/{}.ply", name(i)).into(),
-            held_out: i + config.held_out >= poses.len(),
+    let list = roles
+        .into_iter()
+        .zip(contents)
+        .map(|((name, held_out), content)| ScanFile {
+            path: format!("scans/{name}.ply").into(),
+            name,
+            held_out,
+            content: Some(content),
         })
         .collect();
     Ok(Scans { list, truth: Some(truth) })
+}
+
+/// Names of the scans, and whether each is held out.
+///
+/// # Errors
+/// As [`split::held_out`].
+pub(crate) fn roles(config: &SyntheticConfig, seed: u64) -> Result<Vec<(String, bool)>> {
+    let names: Vec<String> = (0..config.scans).map(name).collect();
+    let held = split::held_out(&names, &config.held_out, seed)?;
+    Ok(names.into_iter().zip(held).collect())
 }
 
 fn name(scan: usize) -> String {

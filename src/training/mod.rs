@@ -9,9 +9,11 @@ pub mod measures;
 mod order;
 mod preview;
 pub mod record;
+mod spent;
 
 pub use order::Order;
 pub use preview::Preview;
+pub(crate) use spent::Part;
 
 use crate::artifact;
 use crate::config::TrainConfig;
@@ -25,6 +27,7 @@ use caphy_render::{Rgb, png};
 use measures::Measures;
 use record::{Line, Position, Record, kind};
 use serde::{Deserialize, Serialize};
+use spent::Spent;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -151,6 +154,7 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
     };
     set_left(&mut plan, step);
     let mut last = Instant::now();
+    let (begun, mut spent) = (last, Spent::default());
     let mut stepped = 0usize;
     while step < steps {
         let share = step as f64 / steps as f64;
@@ -164,6 +168,9 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
         stepped += 1;
         match outcome {
             Ok(done) => {
+                if !measure {
+                    spent.add(Part::Step(batch.kind), seconds);
+                }
                 let (scans, single) = (batch.kind == BatchKind::Scans, batch.kind != BatchKind::Windows);
                 if !single && batch.windows == config.batch && !measure {
                     times.push(seconds * 1e3);
@@ -197,9 +204,12 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
                 if draws_after(config, &plan.order, step)
                     && let Some(preview) = plan.preview
                 {
+                    let started = Instant::now();
                     draw(context, name, trainee, preview, step, &mut records)?;
+                    spent.add(Part::Picture, started.elapsed().as_secs_f64());
                 }
                 if step.is_multiple_of(config.checkpoint_every) || step == steps {
+                    let started = Instant::now();
                     records.iter().try_for_each(Record::sync)?;
                     // Nets are large: two snapshots are never held at once.
                     at.states.clear();
@@ -211,6 +221,7 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
                         ..at
                     };
                     artifact::save(&path, "checkpoint", &key, &at)?;
+                    spent.add(Part::Checkpoint, started.elapsed().as_secs_f64());
                 }
                 plan.pace.step(plan.kinds[usize::from(single)], seconds);
                 plan.pace.between((last.elapsed().as_secs_f64() - seconds).max(0.0));
@@ -254,6 +265,8 @@ pub fn learn(trainee: &mut dyn Trainee, mut plan: Plan<'_, '_>) -> Result<Outcom
         let ms = time.as_secs_f64() * 1e3 / stepped.max(1) as f64;
         context.time(&format!("step of {name}: {:02} {part}, ms", i + 1), ms);
     }
+    spent.add(Part::All, begun.elapsed().as_secs_f64());
+    spent.tell(context, name);
     times.sort_by(f64::total_cmp);
     Ok(Outcome { curves, step_ms: times.get(times.len() / 2).copied().unwrap_or(0.0) })
 }

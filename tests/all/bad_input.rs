@@ -1,6 +1,6 @@
 //! A person's own mistakes end in errors that name the file or key and say what to do; nothing panics.
 
-use crate::experiment::{Experiment, edited, tiny_on_scans};
+use crate::experiment::{Experiment, TINY, edited, tiny_on_scans};
 use caphy::config::Config;
 use caphy::files::ProjectFiles;
 use caphy_core::body::BodyParameters;
@@ -74,7 +74,13 @@ fn held_out_scans_must_exist_and_leave_some() {
     experiment.configure(&tiny_on_scans("scans", &["berta"]));
     assert_error(&experiment, &["`subject.held_out`", "`berta`", "anna"]);
     experiment.configure(&tiny_on_scans("scans", &["anna"]));
-    assert_error(&experiment, &["`subject.folder`", "not held out"]);
+    assert_error(&experiment, &["`subject.held_out`", "anna", "to learn from"]);
+    // Generated scans are held out in the same way, and refused before they are made.
+    for (held, words) in [("[\"scan-03\"]", "scan-02"), ("[\"scan-00\", \"scan-01\", \"scan-02\"]", "to learn from")] {
+        let experiment = Experiment::new(&edited(TINY, &[("[\"scan-02\"]", held)]));
+        assert_error(&experiment, &["`subject.held_out`", words]);
+        assert!(!experiment.out().join("scans").exists());
+    }
 }
 
 #[test]

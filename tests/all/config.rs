@@ -158,7 +158,7 @@ fn unusable_values_name_their_key() {
         ("count = 8", "count = 0", "views.count"),
         ("size = 128", "size = 1", "views.size"),
         ("scans = 3", "scans = 1", "subject.scans"),
-        ("held_out = 1", "held_out = 3", "subject.held_out"),
+        ("held_out = [\"scan-02\"]", "held_out = 1", "subject.held_out"),
         ("resolution_m = 0.04", "resolution_m = 0.0", "subject.resolution_m"),
         ("resolution_m = 0.05", "resolution_m = -0.05", "upper.resolution_m"),
         ("styles = 6", "styles = 0", "upper.styles"),

@@ -18,6 +18,8 @@ mod estimate;
 mod experiment;
 /// Bodies, garments and motion, shown and played.
 mod inputs;
+/// Killed at any moment.
+mod killed;
 /// Played for longer than training ever saw.
 mod long_clip;
 /// From scans to report: results, resuming, same bits.
@@ -38,3 +40,6 @@ mod stress;
 mod synth;
 /// What knobs cost and buy.
 mod tradeoff;
+/// Disks, folders and files that let a run down.
+#[cfg(unix)]
+mod trouble;

@@ -22,7 +22,7 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 /// All stages of [`TINY`], in order.
-const STAGES: [&str; 10] = [
+pub(crate) const STAGES: [&str; 10] = [
     "synth",
     "preprocess",
     "train",
@@ -293,6 +293,39 @@ fn a_second_run_does_nothing() {
     assert!(export == &before["export.caphy"], "exported again with other bits");
 }
 
+/// Asks for times, and finds them for these stages, with nothing left behind.
+fn assert_times_of(experiment: &Experiment, stages: &[&str], there: &[String]) {
+    let output =
+        program(experiment).args(["--plan", "--time"]).stdout(Stdio::piped()).output().expect("the program ends");
+    let said = text(&output.stdout);
+    assert!(output.status.success(), "{said}{}", text(&output.stderr));
+    for stage in stages {
+        let line =
+            said.lines().find(|line| line.trim_start().starts_with(&format!("{stage} "))).expect("a line per stage");
+        assert!(line.contains("to run, about "), "{line}");
+    }
+    assert!(said.contains("Time: about ") && said.contains("tried on 2 scans"), "{said}");
+    assert!(files(&experiment.out()).keys().eq(there), "{:?}", files(&experiment.out()).keys());
+}
+
+#[test]
+fn a_plan_tells_how_long_stages_will_take() {
+    let experiment = Experiment::copy_of(finished(), TINY);
+    for stage in ["train", "evaluate"] {
+        std::fs::remove_file(experiment.out().join(format!("{stage}.caphy"))).expect("an artifact");
+    }
+    let there: Vec<String> = files(&experiment.out()).into_keys().collect();
+    // What comes after a stage that is not done is not known to be done.
+    assert_times_of(&experiment, &["train", "train-optimised", "finetune", "evaluate", "animate", "export"], &there);
+}
+
+#[test]
+#[ignore = "the same with scans and templates to be made: three times as long"]
+fn a_plan_tells_how_long_all_stages_will_take() {
+    let all: Vec<&str> = STAGES.into_iter().filter(|stage| *stage != "report").collect();
+    assert_times_of(&Experiment::new(TINY), &all, &["config.toml".into(), "lock".into()]);
+}
+
 #[test]
 fn settings_take_the_place_of_the_files_own() {
     let experiment = Experiment::copy_of(finished(), &edited(TINY, &[("out = \"out\"", "out = \"../run/out\"")]));
@@ -425,7 +458,7 @@ fn a_replay_on_one_thread_gives_the_same_bits_as_two() {
 }
 
 /// Artifacts and files of a run against those of the uninterrupted run on two threads.
-fn assert_same_results(out: &Path) {
+pub(crate) fn assert_same_results(out: &Path) {
     let (expected, got) = (files(finished()), files(out));
     for stage in STAGES {
         let name = format!("{stage}.caphy");
@@ -542,7 +575,7 @@ fn a_folder_in_use_is_refused() {
 }
 
 /// Flips one bit in the middle of a file.
-fn damage(path: &Path) {
+pub(crate) fn damage(path: &Path) {
     let mut bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;

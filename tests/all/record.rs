@@ -449,7 +449,7 @@ fn longer() -> String {
 }
 
 /// Everything that training and fine-tuning leave, without wall times.
-fn left_behind(out: &Path) -> BTreeMap<String, Vec<u8>> {
+pub(crate) fn left_behind(out: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut all = files(out);
     all.retain(|name, _| {
         let folder = name.starts_with("previews/") || name.starts_with("tensorboard/");

@@ -190,7 +190,7 @@ fn every_option_of_a_subject_acts() {
 
 #[test]
 fn killed_between_two_poses_it_goes_on_to_the_same_bits() {
-    let config = edited(TINY, &[("scans = 3", "scans = 6"), ("held_out = 1", "held_out = 2")]);
+    let config = edited(TINY, &[("scans = 3", "scans = 6"), ("held_out = [\"scan-02\"]", "held_out = 0.34")]);
     let whole = Experiment::new(&config);
     let done = program(&whole).args(["--only", "synth"]).status().expect("the program ends");
     assert!(done.success());

@@ -10,7 +10,7 @@ pub type Result<T> = std::result::Result<T, Error>;
 #[non_exhaustive]
 pub enum Error {
     /// The operating system refused a file operation.
-    #[error("{path}: cannot {action}: {source}", path = path.display())]
+    #[error("{path}: cannot {action}: {source}{remedy}", path = path.display(), remedy = remedy(source))]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -185,6 +185,19 @@ pub enum PluginProblem {
         /// What was read before.
         read: String,
     },
+}
+
+/// What to do about an answer of the system that says by itself what is in the way.
+fn remedy(source: &std::io::Error) -> &'static str {
+    use std::io::ErrorKind;
+    match source.kind() {
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
+            "; free some space and run again: what was finished is kept"
+        }
+        ErrorKind::FileTooLarge => "; allow larger files (`ulimit -f`) and run again: what was finished is kept",
+        ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied => "; allow it, or name another place",
+        _ => "",
+    }
 }
 
 impl Error {
