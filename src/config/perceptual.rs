@@ -23,7 +23,7 @@ pub struct PerceptualConfig {
     /// Channels and normalisation. Default torchvision's.
     #[serde(default)]
     pub pixels: Pixels,
-    /// Threads that work on one picture. Default 2; a fixed number, so that distances do not depend on the machine.
+    /// Threads that work on one picture. Default 2; a fixed number, whatever the machine has.
     #[serde(default = "threads")]
     pub threads: usize,
 }

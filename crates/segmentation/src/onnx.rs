@@ -47,7 +47,7 @@ pub struct SegmenterOnnxSpec {
     /// true, as SCHP's; Segformer's do not.
     #[serde(default = "corners")]
     pub align_corners: bool,
-    /// Threads that work on one view. Default 2; a fixed number, so that labels do not depend on the machine.
+    /// Threads that work on one view. Default 2; a fixed number, whatever the machine has.
     #[serde(default = "threads")]
     pub threads: usize,
 }
