@@ -91,7 +91,7 @@ mod tests {
         assert_eq!(turned(&a_pose), None);
         assert_eq!(turned(&[("left_elbow", Vec3::new(0.0, -2.3, 0.0))]), None);
         // Down to the thigh.
-        let left = turned(&[("left_shoulder", Vec3::new(0.0, 0.0, -1.45))]).unwrap();
+        let left = turned(&[("left_shoulder", Vec3::new(0.0, 0.0, -1.65))]).unwrap();
         assert!(left.contains("left ") && !left.contains("right "), "{left}");
         // Hands together in front.
         let front = [("left_shoulder", Vec3::new(0.0, -1.6, 0.0)), ("right_shoulder", Vec3::new(0.0, 1.6, 0.0))];
