@@ -47,23 +47,25 @@ fn library_name() -> String {
     format!("{}onnxruntime{}", std::env::consts::DLL_PREFIX, std::env::consts::DLL_SUFFIX)
 }
 
+/// A session whose answers do not depend on the machine's number of cores.
+fn made(environment: &Environment, bytes: &[u8], threads: usize) -> ort::Result<ort::session::Session> {
+    ort::session::Session::builder(environment)?
+        .with_intra_threads(threads)?
+        .with_inter_threads(1)?
+        .with_parallel_execution(false)?
+        .with_deterministic_compute(true)?
+        .with_optimization_level(GraphOptimizationLevel::Level3)?
+        .with_log_level(LogLevel::Fatal)?
+        // Threads that wait for the next view must not take time from those that render it.
+        .with_config_entry("session.intra_op.allow_spinning", "0")?
+        .commit_from_memory(bytes)
+}
+
 pub(super) struct Session(ort::session::Session);
 
 impl Session {
     pub(super) fn open(bytes: &[u8], threads: usize) -> Result<Self, String> {
-        let said = |e: &dyn std::fmt::Display| e.to_string();
-        let builder = ort::session::Session::builder(environment()?)
-            .map_err(|e| said(&e))?
-            .with_intra_threads(threads)
-            .and_then(|b| b.with_inter_threads(1))
-            .and_then(|b| b.with_parallel_execution(false))
-            .and_then(|b| b.with_deterministic_compute(true))
-            .and_then(|b| b.with_optimization_level(GraphOptimizationLevel::Level3))
-            .and_then(|b| b.with_log_level(LogLevel::Fatal))
-            // Threads that wait for the next view must not take time from those that render it.
-            .and_then(|b| b.with_config_entry("session.intra_op.allow_spinning", "0"))
-            .map_err(|e| said(&e));
-        builder?.commit_from_memory(bytes).map(Self).map_err(|e| said(&e))
+        made(environment()?, bytes, threads).map(Self).map_err(|e| e.to_string())
     }
 
     /// Inputs and outputs.
