@@ -1,12 +1,14 @@
 //! How near a dressed figure is to a scan of it: distances, renderings, folds.
 //!
-//! Perceptual distance (Table 1 of the paper) is a network's opinion, VGG-16's, whose weights are not part of this program. Its place
-//! take two measures of what is seen, by their own names: the distance of normal maps, and MS-SSIM.
+//! Perceptual distance (Table 1 of the paper) is a network's opinion, VGG-16's, whose weights are not part of this program: it is asked
+//! where its file is given. Two measures of what is seen need none: the distance of normal maps, and MS-SSIM.
 
 pub mod crossings;
+pub mod perceptual;
 mod similarity;
 mod views;
 
+pub use perceptual::Perceptual;
 pub use similarity::ms_ssim;
 pub use views::ScanViews;
 
@@ -18,6 +20,9 @@ use caphy_core::scan::LabelledPoints;
 use caphy_core::{Error, Result, TriMesh, Vec3, mesh};
 use caphy_garment::template::GarmentKind;
 use serde::{Deserialize, Serialize};
+
+/// Name of [`Fit::perceptual`]; the network is whatever was given as VGG-16.
+pub const PERCEPTUAL: &str = "perceptual network, VGG-16";
 
 /// How near one garment of a figure is to a scan of it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -38,6 +43,10 @@ pub struct Fit {
     pub normal_map: f64,
     /// 1 − MS-SSIM of grey renderings of the garment (Wang, Simoncelli, Bovik 2003), mean over views: 0 for the same.
     pub ms_ssim: f64,
+    /// Distance of the same renderings by the features of `evaluate.perceptual_network` ([`perceptual::Features::distance`]), mean over
+    /// views: 0 for the same; none without that network.
+    #[serde(default)]
+    pub perceptual: Option<f64>,
     /// Energy of its normals by wavelength.
     pub spectrum: Spectrum,
     /// Pairs of its triangles that pass through each other.
@@ -48,7 +57,7 @@ impl Fit {
     /// All values by name and unit; a table needs no other order.
     pub fn named(&self) -> Vec<(&'static str, f64)> {
         let [fine, middle, coarse] = self.spectrum.0;
-        vec![
+        let mut all = vec![
             ("scan → surface, mm", self.scan_to_garment_mm),
             ("vertices → scan, mm", self.garment_to_scan_mm),
             ("mean of both, mm", self.mean_mm()),
@@ -57,11 +66,15 @@ impl Fit {
             ("Eq. 9 between points and vertices, squared, mm²", self.chamfer_mm2),
             ("normal maps", self.normal_map),
             ("1 − MS-SSIM", self.ms_ssim),
+        ];
+        all.extend(self.perceptual.map(|distance| (PERCEPTUAL, distance)));
+        all.extend([
             ("normals, folds below 8 cm", fine),
             ("normals, folds of 8 to 16 cm", middle),
             ("normals, folds of 16 to 32 cm", coarse),
             ("triangles through each other, pairs", self.self_crossings as f64),
-        ]
+        ]);
+        all
     }
 
     /// Mean of both unsquared distances [mm]: the paper's 3D-CD, whose definition it leaves open.
@@ -71,24 +84,31 @@ impl Fit {
 }
 
 /// A garment of a scan, prepared for being compared with many figures.
-pub struct ScanGarment {
+pub struct ScanGarment<'n> {
     name: String,
     kind: GarmentKind,
     points: Vec<Vec3>,
-    views: ScanViews,
+    views: ScanViews<'n>,
 }
 
-impl ScanGarment {
-    /// The points of one garment and views of it; `surface` and `labelled` are the same scan.
+impl<'n> ScanGarment<'n> {
+    /// The points of one garment and views of it; `surface` and `labelled` are the same scan. `network` is asked what it sees, too.
     ///
     /// # Errors
-    /// [`Error::Numerics`] for a scan without a point of the garment; [`Error::Length`] for another number of labels.
-    pub fn new(name: &str, kind: GarmentKind, surface: &TriMesh, labelled: &LabelledPoints) -> Result<Self> {
+    /// [`Error::Numerics`] for a scan without a point of the garment; [`Error::Length`] for another number of labels; what the network
+    /// fails with.
+    pub fn new(
+        name: &str,
+        kind: GarmentKind,
+        surface: &TriMesh,
+        labelled: &LabelledPoints,
+        network: Option<&'n Perceptual>,
+    ) -> Result<Self> {
         let (points, _) = labelled.with_label(label_of(kind));
         let Some(bounds) = mesh::bounds(&points) else {
             return Err(nothing_to_compare(name, kind, 0, None));
         };
-        let views = ScanViews::new(kind, surface, labelled, bounds)?;
+        let views = ScanViews::new(kind, surface, labelled, bounds, network)?;
         Ok(Self { name: name.into(), kind, points, views })
     }
 
@@ -131,6 +151,7 @@ impl ScanGarment {
             chamfer_mm2: 1e6 * (there + back),
             normal_map,
             ms_ssim,
+            perceptual: self.views.perceptual(figure, garment)?,
             spectrum: filter.of(vertices, faces),
             self_crossings: crossings::count(vertices, faces),
         })
@@ -240,7 +261,7 @@ mod tests {
     fn a_shifted_sheet_is_as_far_as_it_was_shifted() {
         let (scan, garment) = (sheet(80, 0.0), sheet(10, 0.03));
         let points = labelled(&scan);
-        let compared = ScanGarment::new("s", GarmentKind::Upper, &scan, &points).unwrap();
+        let compared = ScanGarment::new("s", GarmentKind::Upper, &scan, &points, None).unwrap();
         let body = TriMesh::default();
         let figure = |mesh: TriMesh| Dressed { body: &body, garments: vec![mesh] };
         let filter = SpectrumFilter::new(&garment);
@@ -266,7 +287,7 @@ mod tests {
         let folds = scan_spectrum(&points, &garment, GarmentKind::Upper, &seen, &filter);
         assert!(folds.0.iter().all(|e| *e < 1e-20), "{folds:?}");
         assert!(compared.compare(&figure(garment), 0, &vec![false; seen.len()], &filter).is_err());
-        assert!(ScanGarment::new("s", GarmentKind::Lower, &scan, &points).is_err());
+        assert!(ScanGarment::new("s", GarmentKind::Lower, &scan, &points, None).is_err());
     }
 
     #[test]

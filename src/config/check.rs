@@ -1,19 +1,34 @@
 //! Values that cannot be used are refused before anything runs.
 
-use super::{ClipConfig, Config, HeldOut, SubjectConfig};
+use super::{ClipConfig, Config, HeldOut, PerceptualConfig, SubjectConfig};
 use crate::files::ProjectFiles;
 use caphy_core::{Error, Result};
+use caphy_formats::onnx;
 use caphy_garment::energy::ContactOptions;
 use caphy_garment::template::{RESOLUTION_RANGE, StyleRange};
 use std::path::Path;
 
 impl Config {
-    /// Refuses paths that lead to no file, before hours are spent on the way to the stage that reads them.
+    /// Refuses paths that lead to no file, and networks that this program cannot run, before hours are spent on the way to the stage
+    /// that reads them.
     ///
     /// # Errors
     /// [`Error::Config`] naming the key and the path.
     pub fn check_files(&self, files: &ProjectFiles) -> Result<()> {
         let mut named: Vec<(&str, &Path)> = Vec::new();
+        if let Some(parser) = self
+            .segmenter
+            .as_ref()
+            .map(|s| s.table())
+            .filter(|t| t.get("type").and_then(|t| t.as_str()) == Some("onnx"))
+        {
+            onnx::available("segmenter.type")?;
+            named.extend(parser.get("path").and_then(|p| p.as_str()).map(|path| ("segmenter.path", Path::new(path))));
+        }
+        if let Some(network) = &self.evaluate.perceptual_network {
+            onnx::available(PerceptualConfig::KEY)?;
+            named.push((PerceptualConfig::KEY, &network.path));
+        }
         let clips = self.motion.clips.iter().map(|clip| ("motion.clips", clip));
         for (key, clip) in clips.chain(self.played()) {
             match clip {
@@ -195,6 +210,7 @@ impl Config {
         not_negative("finetune.layering.reach", layering.reach)?;
         not_negative("finetune.layering.weight", layering.weight)?;
         not_negative("evaluate.penetration_m", self.evaluate.penetration_m)?;
+        self.evaluate.perceptual_network.as_ref().map_or(Ok(()), PerceptualConfig::check)?;
         positive("finetune.learning_rate", self.finetune.learning_rate)?;
         self.optimise.check()?;
         if let Some(animate) = &self.animate {

@@ -6,6 +6,7 @@
 mod budget;
 mod check;
 mod optimise;
+mod perceptual;
 pub(crate) mod place;
 mod set;
 mod silent;
@@ -15,6 +16,7 @@ mod weights;
 
 pub use budget::{BudgetConfig, Choice};
 pub use optimise::{EstimatorConfig, Inner, OptimiseConfig, WornAlternation, WornEquilibrium};
+pub use perceptual::PerceptualConfig;
 pub use set::Setting;
 pub use synthetic::{RestScale, RigConfig, SyntheticConfig, Texture};
 pub use tradeoff::TradeoffConfig;
@@ -47,7 +49,7 @@ pub struct Config {
     pub plugin: Vec<PluginConfig>,
     /// The naked body: `type = "mannequin" | "smplx"`.
     pub body: PluginTable,
-    /// Labels for rendered views: `type = "vertex" | "colour" | "labels"`. Scans need it.
+    /// Labels for rendered views: `type = "vertex" | "colour" | "labels" | "onnx"`. Scans need it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub segmenter: Option<PluginTable>,
     /// Views for label fusion.
@@ -557,11 +559,14 @@ pub struct EvaluateConfig {
     /// Of a synthetic subject: also bring its templates, made of the true fabrics, to rest in the held-out scans' poses by the
     /// reference solver, as a floor for nets. Default false: it costs as much as simulating these poses.
     pub solver_floor: bool,
+    /// The paper's perceptual distance by VGG-16, beside the distance of normal maps and MS-SSIM, which need no network.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub perceptual_network: Option<PerceptualConfig>,
 }
 
 impl Default for EvaluateConfig {
     fn default() -> Self {
-        Self { penetration_m: 1e-3, ground_truth: None, solver_floor: false }
+        Self { penetration_m: 1e-3, ground_truth: None, solver_floor: false, perceptual_network: None }
     }
 }
 

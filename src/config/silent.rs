@@ -36,6 +36,7 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
                 "views",
                 "registration",
                 "evaluate.ground_truth",
+                "evaluate.perceptual_network",
                 "optimise",
                 "train.scan_epochs",
                 "train.scan_points",

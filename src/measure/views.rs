@@ -1,5 +1,6 @@
 //! A garment as it is seen from around: normals and brightness per pixel, of a scan and of a figure by the same cameras.
 
+use super::perceptual::{Features, Perceptual};
 use super::similarity::{SMALLEST, ms_ssim};
 use crate::pictures::Dressed;
 use crate::scene::label_of;
@@ -33,17 +34,26 @@ struct View {
 }
 
 /// Views of one garment of a scan.
-pub struct ScanViews {
+pub struct ScanViews<'n> {
     cameras: Vec<Camera>,
     views: Vec<View>,
+    /// What a network sees in the views.
+    seen: Option<(&'n Perceptual, Vec<Features>)>,
 }
 
-impl ScanViews {
+impl<'n> ScanViews<'n> {
     /// Cameras around `bounds` of the garment [m], and what they see of the scan: a triangle with two corners of the garment is its.
+    /// `network` is asked, too.
     ///
     /// # Errors
-    /// [`Error::Length`] for another number of labels than vertices.
-    pub fn new(kind: GarmentKind, surface: &TriMesh, points: &LabelledPoints, bounds: (Vec3, Vec3)) -> Result<Self> {
+    /// [`Error::Length`] for another number of labels than vertices; those of [`Perceptual::features`].
+    pub fn new(
+        kind: GarmentKind,
+        surface: &TriMesh,
+        points: &LabelledPoints,
+        bounds: (Vec3, Vec3),
+        network: Option<&'n Perceptual>,
+    ) -> Result<Self> {
         Error::check_length("labels of the scan", surface.vertices.len(), points.labels.len())?;
         let label = label_of(kind);
         let cameras: Vec<Camera> = (0..VIEWS)
@@ -57,12 +67,45 @@ impl ScanViews {
             .collect();
         let own = |f: usize| surface.faces[f].iter().filter(|&&v| points.labels[v as usize] == label).count() >= 2;
         let normals = surface.vertex_normals();
-        let views = cameras.iter().map(|camera| look(surface, &normals, own, camera)).collect();
-        Ok(Self { cameras, views })
+        let views: Vec<View> = cameras.iter().map(|camera| look(surface, &normals, own, camera)).collect();
+        let seen = network.map(|network| {
+            let features = views.iter().map(|view| network.features(&view.brightness, SIZE, SIZE));
+            Ok::<_, Error>((network, features.collect::<Result<Vec<_>>>()?))
+        });
+        Ok(Self { cameras, views, seen: seen.transpose()? })
     }
 
     /// Distances of a figure's garment from the scan's [1]: of normal maps, and 1 − MS-SSIM of renderings.
     pub fn distances(&self, figure: &Dressed<'_>, garment: usize) -> [f64; 2] {
+        let (mut apart, mut pixels, mut likeness) = (0.0, 0usize, 0.0);
+        for (seen, scan) in self.of(figure, garment).iter().zip(&self.views) {
+            for (a, b) in scan.normals.iter().zip(&seen.normals) {
+                if *a != [0.0; 3] || *b != [0.0; 3] {
+                    apart += (0..3).map(|k| f64::from(a[k] - b[k]).powi(2)).sum::<f64>().sqrt();
+                    pixels += 1;
+                }
+            }
+            // The size is large enough.
+            likeness += ms_ssim(&scan.brightness, &seen.brightness, SIZE, SIZE).unwrap_or(0.0);
+        }
+        [apart / pixels.max(1) as f64, 1.0 - likeness / VIEWS as f64]
+    }
+
+    /// Distance of the same renderings by the network's features, mean over views; none without a network.
+    ///
+    /// # Errors
+    /// Those of [`Perceptual::features`].
+    pub fn perceptual(&self, figure: &Dressed<'_>, garment: usize) -> Result<Option<f64>> {
+        let Some((network, scan)) = &self.seen else { return Ok(None) };
+        let mut sum = 0.0;
+        for (view, scan) in self.of(figure, garment).iter().zip(scan) {
+            sum += network.features(&view.brightness, SIZE, SIZE)?.distance(scan)?;
+        }
+        Ok(Some(sum / VIEWS as f64))
+    }
+
+    /// What the cameras see of a figure's garment.
+    fn of(&self, figure: &Dressed<'_>, garment: usize) -> Vec<View> {
         // What is in front of the garment hides it.
         let mut all = TriMesh::default();
         let mut normals = Vec::new();
@@ -77,19 +120,7 @@ impl ScanViews {
                 own = start..all.faces.len();
             }
         }
-        let (mut apart, mut pixels, mut likeness) = (0.0, 0usize, 0.0);
-        for (camera, scan) in self.cameras.iter().zip(&self.views) {
-            let seen = look(&all, &normals, |f| own.contains(&f), camera);
-            for (a, b) in scan.normals.iter().zip(&seen.normals) {
-                if *a != [0.0; 3] || *b != [0.0; 3] {
-                    apart += (0..3).map(|k| f64::from(a[k] - b[k]).powi(2)).sum::<f64>().sqrt();
-                    pixels += 1;
-                }
-            }
-            // The size is large enough.
-            likeness += ms_ssim(&scan.brightness, &seen.brightness, SIZE, SIZE).unwrap_or(0.0);
-        }
-        [apart / pixels.max(1) as f64, 1.0 - likeness / VIEWS as f64]
+        self.cameras.iter().map(|camera| look(&all, &normals, |f| own.contains(&f), camera)).collect()
     }
 }
 
@@ -138,7 +169,7 @@ mod tests {
             normals: scan.vertex_normals(),
             labels: vec![Label::Upper; 8],
         };
-        let views = ScanViews::new(GarmentKind::Upper, &scan, &points, scan.bounds().unwrap()).unwrap();
+        let views = ScanViews::new(GarmentKind::Upper, &scan, &points, scan.bounds().unwrap(), None).unwrap();
         let of =
             |body: &TriMesh, garment: &TriMesh| views.distances(&Dressed { body, garments: vec![garment.clone()] }, 0);
         let nothing = TriMesh::default();

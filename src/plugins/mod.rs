@@ -26,7 +26,7 @@ const SHIPPED: [(Kind, &[&str]); 5] = [
     (Kind::Material, &["measured", "neo_hookean", "stvk"]),
     (Kind::Net, &["gru", "mlp"]),
     (Kind::Body, &["mannequin", "smplx"]),
-    (Kind::Segmenter, &["colour", "labels", "vertex"]),
+    (Kind::Segmenter, &["colour", "labels", "onnx", "vertex"]),
     (Kind::Template, &["folder", "linear", "mesh", "parametric"]),
 ];
 

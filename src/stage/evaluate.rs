@@ -7,7 +7,7 @@ use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
 use crate::config::{SubjectConfig, TrainConfig};
 use crate::inference::{Play, clearance, contacts, play};
-use crate::measure::{Fit, ScanGarment, pose_distance, scan_spectrum, shown};
+use crate::measure::{Fit, Perceptual, ScanGarment, pose_distance, scan_spectrum, shown};
 use crate::physics::{Physics, solver_forces};
 use crate::pictures::{self, Dressed};
 use crate::plot::number;
@@ -198,11 +198,18 @@ impl Scores {
                 }
             }
         }
+        if !self.perceptual() {
+            out.push_str("Normal maps and MS-SSIM stand in for VGG-16's perceptual distance.\n");
+        }
         out.push_str(
-            "Normal maps and MS-SSIM stand in for VGG-16's perceptual distance.\n\
-             *floors: the reference solver with the true fabric (evaluate.solver_floor), and the true garment.\n",
+            "*floors: the reference solver with the true fabric (evaluate.solver_floor), and the true garment.\n",
         );
         out
+    }
+
+    /// Whether a network was asked.
+    pub fn perceptual(&self) -> bool {
+        self.scans.iter().flat_map(|s| &s.garments).any(|g| g.net.perceptual.is_some())
     }
 
     /// Means over the held-out scans and over the others, per garment, by name and unit.
@@ -342,6 +349,8 @@ pub fn run(
         .map(|fitted| Ok(scan_frames(context, subject, fitted, training.clone())?.visible))
         .collect::<Result<Vec<_>>>()?;
     let filters: Vec<SpectrumFilter> = subject.garments.iter().map(|g| SpectrumFilter::new(&g.mesh)).collect();
+    let network = context.config.evaluate.perceptual_network.as_ref();
+    let network = network.map(|network| Perceptual::open(network, context.files)).transpose()?;
     let finished = AtomicUsize::new(0);
     let started = Instant::now();
     // One error for one input, whatever the number of threads.
@@ -361,7 +370,7 @@ pub fn run(
             let solver_figure = solved.as_ref().filter(|s| !s[0][i].is_empty()).map(|shapes| dressed(shapes));
             let mut scores = Vec::new();
             for (k, fitted) in subject.garments.iter().enumerate() {
-                let compared = ScanGarment::new(&scan.name, fitted.kind, &surface, &scan.points)?;
+                let compared = ScanGarment::new(&scan.name, fitted.kind, &surface, &scan.points, network.as_ref())?;
                 let fit = |figure: &Dressed<'_>| compared.compare(figure, k, &visible[k], &filters[k]);
                 let truth = scans
                     .truth
@@ -493,7 +502,7 @@ fn true_fit(
     truth: &Truth,
     scan: usize,
     points: &SubjectScan,
-    compared: &ScanGarment,
+    compared: &ScanGarment<'_>,
 ) -> Result<Option<Fit>> {
     let Some(own) = truth.garments.iter().position(|g| g.kind == compared.kind()) else { return Ok(None) };
     let body = of_mesh(&true_body(scene, truth, scan)?, &scene.rest);

@@ -1,6 +1,7 @@
 //! From scans to labels, a naked body under the clothes, and garment templates (Sec. 3.1).
 
 mod templates;
+mod touching;
 
 pub use templates::TemplateChoice;
 
@@ -171,10 +172,14 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
         choices: Vec::new(),
         pictures: Vec::new(),
     };
-    for (file, scan) in labelled {
+    for (file, mut scan) in labelled {
         let (pose, fit) = scan.fitted.ok_or_else(|| {
             Error::numerics(format!("scan {}", file.name), "was not fitted", "look at the labels in the report")
         })?;
+        if let Some(note) = touching::note(&*body, &subject_body.posed(&pose))? {
+            progress.note(&format!("scan {} {note}", file.name));
+            scan.notes.push(note);
+        }
         subject.scans.push(SubjectScan {
             name: file.name.clone(),
             held_out: file.held_out,

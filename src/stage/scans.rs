@@ -266,8 +266,8 @@ pub fn inspect(files: &ProjectFiles, config: &ScansConfig, segmenter: &str, scan
         if faces == 0 {
             problems.push("has no triangles: labels need a surface".into());
         }
-        if segmenter == "colour" && scan.colours.is_none() {
-            problems.push("has no colours, which the segmenter `colour` reads".into());
+        if ["colour", "onnx"].contains(&segmenter) && scan.colours.is_none() {
+            problems.push(format!("has no colours, which the segmenter `{segmenter}` reads"));
         }
         if segmenter == "vertex" && scan.labels.is_none() {
             problems.push("has no labels on its vertices, which the segmenter `vertex` reads".into());

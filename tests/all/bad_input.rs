@@ -194,3 +194,29 @@ fn a_run_folder_that_cannot_be_made() {
     experiment.write("out", b"a file");
     assert_error(&experiment, &[&experiment.out().display().to_string(), "cannot create"]);
 }
+
+#[cfg(not(feature = "onnx"))]
+#[test]
+fn networks_in_a_build_without_them() {
+    let config = tiny_on_scans("scans", &[]);
+    let experiment = with_scan(&write_ply(&person()));
+    let segmenter = "type = \"onnx\"\npath = \"parser.onnx\"\nmap = \"lip\"";
+    experiment.configure(&edited(&config, &[("type = \"vertex\"", segmenter)]));
+    assert_error(&experiment, &["`segmenter.type`", "ONNX Runtime", "cargo build --release --features onnx"]);
+    experiment.configure(&format!("{config}\n[evaluate.perceptual_network]\npath = \"vgg16.onnx\"\n"));
+    assert_error(&experiment, &["`evaluate.perceptual_network`", "cargo build --release --features onnx"]);
+}
+
+#[test]
+fn networks_whose_settings_cannot_be_used() {
+    let config = tiny_on_scans("scans", &[]);
+    let experiment = with_scan(&write_ply(&person()));
+    for (keys, words) in [
+        ("threads = 0", ["evaluate.perceptual_network.threads", "1 to 256"]),
+        ("pixels = { std = [1.0, 0.0, 1.0] }", ["evaluate.perceptual_network.pixels.std", "positive"]),
+        ("layers = [\"relu2_2\"]", ["experiment.toml", "layers"]),
+    ] {
+        experiment.configure(&format!("{config}\n[evaluate.perceptual_network]\npath = \"vgg16.onnx\"\n{keys}\n"));
+        assert_error(&experiment, &words);
+    }
+}

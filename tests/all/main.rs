@@ -22,6 +22,9 @@ mod inputs;
 mod killed;
 /// Played for longer than training ever saw.
 mod long_clip;
+/// A network's opinion of renderings, when it can be asked.
+#[cfg(feature = "onnx")]
+mod perceptual;
 /// From scans to report: results, resuming, same bits.
 mod pipeline;
 /// The scene plan: what it leaves out changes nothing.

@@ -102,6 +102,86 @@ fn scans_that_cannot_be_used_are_left_out_and_the_others_go_on() {
     assert!(stamp("anna") > before);
 }
 
+/// Label images of a scan's views, as PNG files: right arm, upper clothes, pants and background of LIP in the colours of PASCAL VOC's
+/// map, as viewers save palettes.
+fn label_images(scan: &Scan, count: usize, size: usize) -> Vec<Vec<u8>> {
+    let cameras = uniform_views(scan.mesh.bounds().expect("vertices"), count, size);
+    let image = |(index, camera)| {
+        let image = render(&scan.mesh, None, camera);
+        let (colour, depth, triangle) = (&image.colour, &image.depth, &image.triangle);
+        let view = View { scan, index, count, camera, colour, depth, triangle };
+        let mut seen = vec![Label::Ignore; size * size];
+        SegmenterVertex.segment(&view, &mut seen).unwrap_or_else(|e| panic!("{e}"));
+        let colour = |label: &Label| match label {
+            Label::Body => [192, 128, 128],
+            Label::Upper => [128, 0, 128],
+            Label::Lower => [192, 0, 0],
+            Label::Ignore => [0, 0, 0],
+        };
+        let picture = Rgb { width: size, height: size, pixels: seen.iter().map(colour).collect() };
+        png(&picture).unwrap_or_else(|e| panic!("{e}"))
+    };
+    cameras.iter().enumerate().map(image).collect()
+}
+
+/// One scan is right; of the others something is wrong with what the segmenter reads, and each is named.
+#[test]
+fn scans_whose_labels_cannot_be_read_are_left_out_and_the_others_go_on() {
+    let scan = person();
+    let bare = write_ply(&Scan { labels: None, colours: None, ..scan.clone() });
+    // Where up is known it is not searched for.
+    let config = edited(&tiny_on_scans("scans", &[]), &[("folder", "units = \"m\"\nup = \"y\"\nfolder")]);
+    let labels = "type = \"labels\"\npath = \"labels\"\nmap = \"lip\"";
+    let experiment = Experiment::new(&edited(&config, &[("type = \"vertex\"", labels)]));
+    let images = label_images(&scan, 8, 128);
+    let small = label_images(&scan, 8, 64);
+    let unknown = png(&Rgb { width: 128, height: 128, pixels: vec![[128, 64, 128]; 128 * 128] })
+        .unwrap_or_else(|e| panic!("{e}"));
+    // What is changed of a scan's images, and what is said of it.
+    let table: [(&str, Vec<(usize, Option<&[u8]>)>, [&str; 2]); 6] = [
+        ("no-images", (0..8).map(|i| (i, None)).collect(), ["no-images", "make label images"]),
+        ("too-few", vec![(3, None), (7, None)], ["view 3", "views.count"]),
+        ("too-many", vec![(8, Some(&images[0][..]))], ["too-many_008.png", "views.count"]),
+        ("small", vec![(2, Some(&small[2][..]))], ["64 × 64", "views.size"]),
+        ("other-classes", vec![(0, Some(&unknown[..]))], ["has no meaning", "segmenter.map"]),
+        ("cut", vec![(5, Some(&images[5][..60]))], ["cut_005.png", "PNG"]),
+    ];
+    let put =
+        |name: &str, index: usize, bytes: &[u8]| experiment.write(&format!("labels/{name}_{index:03}.png"), bytes);
+    for name in table.iter().map(|row| row.0).chain(["right"]) {
+        experiment.write(&format!("scans/{name}.ply"), &bare);
+        let changed = table.iter().find(|row| row.0 == name).map(|row| &row.1[..]).unwrap_or_default();
+        for (index, image) in images.iter().enumerate().filter(|(i, _)| changed.iter().all(|c| c.0 != *i)) {
+            put(name, index, image);
+        }
+        changed.iter().for_each(|(index, bytes)| bytes.iter().for_each(|bytes| put(name, *index, bytes)));
+    }
+    let subject = preprocess(&experiment);
+    assert_eq!(subject.scans.iter().map(|s| &*s.name).collect::<Vec<_>>(), ["right"]);
+    for (name, _, words) in &table {
+        let skipped = subject.skipped.iter().find(|s| s.name == *name).unwrap_or_else(|| panic!("{name} was used"));
+        let missing = words.iter().find(|w| !skipped.problem.contains(**w));
+        assert!(missing.is_none(), "`{missing:?}` is missing in {name}: {}", skipped.problem);
+    }
+
+    // Colours are asked for, and one scan has them.
+    let colour = "type = \"colour\"\npalette = [{ label = \"upper\", colour = [40, 40, 90] }, \
+                  { label = \"lower\", colour = [90, 90, 90] }, { label = \"body\", colour = [200, 160, 130] }]";
+    let experiment = Experiment::new(&edited(&config, &[("type = \"vertex\"", colour)]));
+    let shade = |l: &Label| match l {
+        Label::Upper => [40, 40, 90],
+        Label::Lower => [90, 90, 90],
+        _ => [200, 160, 130],
+    };
+    let colours = scan.labels.as_ref().map(|labels| labels.iter().map(shade).collect());
+    experiment.write("scans/right.ply", &write_ply(&Scan { labels: None, colours, ..scan.clone() }));
+    experiment.write("scans/no-colours.ply", &bare);
+    assert!(plan(&experiment).contains("has no colours, which the segmenter `colour` reads"));
+    let subject = preprocess(&experiment);
+    assert_eq!((subject.scans.len(), &*subject.skipped[0].name), (1, "no-colours"));
+    assert!(subject.skipped[0].problem.contains("vertex colours"), "{}", subject.skipped[0].problem);
+}
+
 #[test]
 fn label_images_of_the_views_bring_the_labels_back() {
     let scan = person();
@@ -109,29 +189,8 @@ fn label_images_of_the_views_bring_the_labels_back() {
     let edits = [("type = \"vertex\"", labels), ("count = 8\nsize = 128", "count = 16\nsize = 256")];
     let experiment = Experiment::new(&edited(&tiny_on_scans("scans", &[]), &edits));
     experiment.write("scans/anna.ply", &write_ply(&Scan { labels: None, colours: None, ..scan.clone() }));
-    let cameras = uniform_views(scan.mesh.bounds().expect("vertices"), 16, 256);
-    for (index, camera) in cameras.iter().enumerate() {
-        let image = render(&scan.mesh, None, camera);
-        let view = View {
-            scan: &scan,
-            index,
-            count: 16,
-            camera,
-            colour: &image.colour,
-            depth: &image.depth,
-            triangle: &image.triangle,
-        };
-        let mut seen = vec![Label::Ignore; 256 * 256];
-        SegmenterVertex.segment(&view, &mut seen).unwrap_or_else(|e| panic!("{e}"));
-        // Right arm, upper clothes, pants and background in the colours of PASCAL VOC's map, as viewers save palettes.
-        let colour = |label: &Label| match label {
-            Label::Body => [192, 128, 128],
-            Label::Upper => [128, 0, 128],
-            Label::Lower => [192, 0, 0],
-            Label::Ignore => [0, 0, 0],
-        };
-        let picture = Rgb { width: 256, height: 256, pixels: seen.iter().map(colour).collect() };
-        experiment.write(&format!("labels/anna_{index:03}.png"), &png(&picture).unwrap_or_else(|e| panic!("{e}")));
+    for (index, picture) in label_images(&scan, 16, 256).iter().enumerate() {
+        experiment.write(&format!("labels/anna_{index:03}.png"), picture);
     }
     let subject = preprocess(&experiment);
     let truth = scan.labels.as_ref().expect("labels");

@@ -16,6 +16,7 @@ pub mod motion;
 pub mod moving;
 pub mod npz;
 pub mod obj;
+pub mod onnx;
 pub mod pc2;
 pub mod ply;
 pub mod scan;

@@ -127,14 +127,7 @@ impl SegmenterColour {
 impl Segmenter for SegmenterColour {
     fn segment(&self, view: &View<'_>, labels: &mut [Label]) -> Result<()> {
         view::check(view, labels)?;
-        if view.scan.colours.is_none() {
-            return Err(Error::mesh(
-                &view.scan.name,
-                "vertex colours",
-                "the scan stores none, but the segmenter `colour` reads them",
-                "bake the texture into vertex colours, or use `type = \"vertex\"` with stored labels",
-            ));
-        }
+        view::check_colours(view, "colour")?;
         // Neighbouring pixels of a plain cloth are often exactly equal.
         let mut last = ([0; 3], self.label_of([0; 3]));
         for ((&id, &colour), label) in view.triangle.iter().zip(view.colour).zip(labels.iter_mut()) {

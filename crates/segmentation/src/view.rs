@@ -13,3 +13,16 @@ pub(crate) fn check(view: &View<'_>, labels: &[Label]) -> Result<()> {
     Error::check_length(&image("triangle image"), count, view.triangle.len())?;
     Error::check_length(&image("labels"), count, labels.len())
 }
+
+/// `Ok` when the scan has the colours that the segmenter `name` looks at.
+pub(crate) fn check_colours(view: &View<'_>, name: &str) -> Result<()> {
+    if view.scan.colours.is_some() {
+        return Ok(());
+    }
+    Err(Error::mesh(
+        &view.scan.name,
+        "vertex colours",
+        format!("the scan stores none, but the segmenter `{name}` reads them"),
+        "bake the texture into vertex colours, or use `type = \"vertex\"` with stored labels",
+    ))
+}

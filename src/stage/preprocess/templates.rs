@@ -18,7 +18,7 @@ use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::{
-    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, choose_template,
+    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, Worn, choose_template,
     pose_by_nearest_vertex, refine, templates,
 };
 use rayon::prelude::*;
@@ -160,10 +160,11 @@ impl<'a> Choosing<'a> {
         let worn: Vec<Result<Vec<Vec3>>> = order.par_iter().map(|&i| wear(&candidates[i])).collect();
         let worn = worn.into_iter().collect::<Result<Vec<_>>>()?;
         let sampled = choose_template(&worn, &points, &options)?;
-        let best = &candidates[order[sampled.index]];
+        let (best, vertices) = (&candidates[order[sampled.index]], worn[sampled.index].clone());
+        let start = Worn { template: best.clone(), vertices };
         let edges = thin(&self.edges(kind, covered), EDGE_POINTS);
         let seen = Seen { points: &points, edges: &edges };
-        let refined = refine(&*source, tailor, &best.style, CANDIDATE_RESOLUTION, seen, wear)?;
+        let refined = refine(&*source, tailor, start, CANDIDATE_RESOLUTION, seen, wear)?;
         let after = choose_template(std::slice::from_ref(&refined.worn), &points, &options)?;
         let template = source.template(tailor, &refined.style, settings.resolution_m)?;
         let choice = TemplateChoice {

@@ -115,7 +115,9 @@ pub(super) fn limits(config: &Config, inputs: &Inputs<'_>) -> Vec<String> {
     if config.body.table().get("type").and_then(|t| t.as_str()) == Some("mannequin") {
         out.push("The body is a mannequin, not a model learnt from people.".into());
     }
-    if inputs.scores.is_some() {
+    if inputs.scores.is_some_and(|scores| scores.perceptual()) {
+        out.push("The paper does not say which layers of VGG-16 its perceptual distance compares, nor how it renders: compare within this report.".into());
+    } else if inputs.scores.is_some() {
         out.push("Perceptual distance is not VGG-16's: normal maps and MS-SSIM stand in for it, and cannot be compared with the paper's in size.".into());
     }
     if !inputs.exported.coloured.is_empty() {

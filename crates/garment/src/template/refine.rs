@@ -48,6 +48,15 @@ pub struct Seen<'a> {
     pub edges: &'a [Vec3],
 }
 
+/// A template as it was compared with the scan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Worn {
+    /// The template.
+    pub template: Template,
+    /// Its vertices in the scan's pose [m].
+    pub vertices: Vec<Vec3>,
+}
+
 /// Outcome of [`refine`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refinement {
@@ -59,7 +68,7 @@ pub struct Refinement {
     pub worn: Vec<Vec3>,
     /// Root mean square distance of the scan's edges from its boundary, along its surface [m]; 0 without edges.
     pub edges_off_m: f64,
-    /// Templates made on the way.
+    /// Templates made on the way, beside the start.
     pub evaluations: usize,
 }
 
@@ -71,16 +80,16 @@ struct Trial {
     residuals: Vec<f64>,
 }
 
-/// Improves a style by Gauss-Newton steps. `wear` takes a template to the scan's pose. A source without anything between its
-/// garments gives the start back.
+/// Improves a style by Gauss-Newton steps. `wear` takes a template to the scan's pose, as `start` was taken there, whose edges are about
+/// `resolution_m` long [m]. A source without anything between its garments gives the start back: nothing is worn again.
 ///
 /// # Errors
-/// Those of [`TemplateSource::template`] and of `wear` for the start (styles on the way that fail are passed over);
+/// Those of [`TemplateSource::template`] and of `wear` (styles that no garment can be made of, or worn, are passed over);
 /// [`Error::Numerics`] without scan points, [`Error::NonFinite`] for bad ones.
 pub fn refine(
     source: &dyn TemplateSource,
     tailor: &Tailor,
-    start: &Style,
+    start: Worn,
     resolution_m: f64,
     seen: Seen<'_>,
     wear: impl Fn(&Template) -> Result<Vec<Vec3>> + Sync,
@@ -100,10 +109,13 @@ pub fn refine(
         let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
         Ok(Trial { template, worn, residuals })
     };
+    let Worn { template, vertices: worn } = start;
+    let start = &template.style.clone();
     let mut u = source.coordinates(start);
     let axes = u.len();
-    let mut now = attempt(start)?;
-    let mut evaluations = 1;
+    let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
+    let mut now = Trial { template, worn, residuals };
+    let mut evaluations = 0;
     // Garments a difference away along each axis but some, towards the inside of the range; `None` where none can be made.
     let around = |u: &[f64], but: &[usize]| -> Result<Vec<Option<(Vec<f64>, Trial)>>> {
         let beside = |axis: usize| {

@@ -3,8 +3,8 @@
 use super::{body, shirt, trousers};
 use caphy_core::{Error, Vec3};
 use caphy_garment::template::{
-    ChooseOptions, GarmentKind, Seen, Tailor, Template, TemplateParametric, choose_template, pose_by_nearest_vertex,
-    pose_by_weights, refine, sample_styles,
+    ChooseOptions, GarmentKind, Seen, Tailor, Template, TemplateParametric, Worn, choose_template,
+    pose_by_nearest_vertex, pose_by_weights, refine, sample_styles,
 };
 use nalgebra::{Matrix3x4, Rotation3};
 
@@ -55,8 +55,12 @@ fn refinement_comes_nearer_to_the_style() {
     let scan = vertices(&scanned);
     let edges: Vec<Vec3> = scanned.loops.iter().flat_map(|l| &l.vertices).map(|&v| scan[v as usize]).collect();
     let start = shirt(0.55, 0.45, 0.02, 0.4);
+    let worn = || {
+        let template = tailor.generate(&start, 0.03).unwrap();
+        Worn { vertices: vertices(&template), template }
+    };
     let seen = Seen { points: &scan, edges: &edges };
-    let found = refine(&TemplateParametric {}, &tailor, &start, 0.03, seen, |t| Ok(vertices(t))).unwrap();
+    let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t| Ok(vertices(t))).unwrap();
     assert_eq!(found.template.style, found.style);
     assert_eq!(found.worn, found.template.mesh.vertices);
     let off = |s: &caphy_garment::template::Style| {
@@ -73,7 +77,7 @@ fn refinement_comes_nearer_to_the_style() {
     let trunk: Vec<Vec3> = scan.iter().filter(|p| p.x.abs() < 0.15).copied().collect();
     let hem: Vec<Vec3> = edges.iter().filter(|p| p.x.abs() < 0.15).copied().collect();
     let seen = Seen { points: &trunk, edges: &hem };
-    let found = refine(&TemplateParametric {}, &tailor, &start, 0.03, seen, |t| Ok(vertices(t))).unwrap();
+    let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t| Ok(vertices(t))).unwrap();
     assert_eq!(found.style.to_unit()[0], 0.5);
     assert!((found.style.to_unit()[1] - truth.to_unit()[1]).abs() < 0.01, "{:?}", found.style);
 }

@@ -6,7 +6,7 @@ use caphy_core::query::{NearestGrid, hinges};
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_formats::obj::write_obj;
 use caphy_garment::template::{
-    BodyRest, ChooseOptions, FitOptions, GarmentKind, GivenMesh, Seen, Style, Tailor, Template, TemplateSpec,
+    BodyRest, ChooseOptions, FitOptions, GarmentKind, GivenMesh, Seen, Style, Tailor, Template, TemplateSpec, Worn,
     choose_template, read_garment, refine, templates,
 };
 use std::collections::BTreeMap;
@@ -353,11 +353,12 @@ fn a_folder_offers_the_garments_of_a_kind_and_a_scan_chooses() {
     let scan = cut(&styles[0], 0.02).mesh.vertices;
     let choice = choose_template(&posed, &scan, &ChooseOptions::default()).unwrap();
     assert_eq!(name(&uppers[choice.index]), "short");
-    // Nothing lies between garments of a folder: refinement gives the choice back.
-    let vertices = |t: &Template| Ok(t.mesh.vertices.clone());
     let seen = Seen { points: &scan, edges: &[] };
-    let refined = refine(&*source, tailor(), &uppers[1], 0.03, seen, vertices).unwrap();
-    assert_eq!((&refined.style, refined.evaluations), (&uppers[1], 1));
+    // Nothing lies between garments of a folder: refinement gives the choice back, and wears nothing.
+    let again = |_: &Template| -> Result<Vec<Vec3>> { panic!("worn again") };
+    let start = Worn { template: candidates[1].clone(), vertices: posed[1].clone() };
+    let refined = refine(&*source, tailor(), start, 0.03, seen, again).unwrap();
+    assert_eq!((&refined.style, &refined.worn, refined.evaluations), (&uppers[1], &posed[1], 0));
     assert!(source.template(tailor(), &styles[0], 0.03).is_err());
     // The style goes into artifacts and comes back.
     let text = serde_json::to_string(&refined.style).unwrap();
@@ -461,7 +462,9 @@ fn a_linear_space_makes_garments_from_coefficients() {
         scanned.loops.iter().flat_map(|l| &l.vertices).map(|&v| scanned.mesh.vertices[v as usize]).collect();
     let vertices = |t: &Template| Ok(t.mesh.vertices.clone());
     let seen = Seen { points: &scan, edges: &edges };
-    let found = refine(&*source, tailor(), &styles[0], 0.03, seen, vertices).unwrap();
+    let template = source.template(tailor(), &styles[0], 0.03).unwrap();
+    let start = Worn { vertices: template.mesh.vertices.clone(), template };
+    let found = refine(&*source, tailor(), start, 0.03, seen, vertices).unwrap();
     let c = found.style.values();
     assert!((c[0] - 0.8).abs() < 0.15 && (c[1] - 0.7).abs() < 0.15, "{c:?}");
     assert!(source.template(tailor(), &at(vec![0.0; 3]), 0.03).is_err());
