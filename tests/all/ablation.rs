@@ -46,7 +46,7 @@ fn variants_share_scans_and_are_compared_scan_by_scan() {
     let page = std::str::from_utf8(&all["report.html"]).expect("text");
     assert_self_contained(page);
     // Three measures of two garments.
-    assert_eq!(page.matches("change against “everything”").count(), 6);
+    assert_eq!(page.matches("change against “everything”, %").count(), 6);
     let table: Value = serde_json::from_slice(&all["ablation.json"]).expect("JSON");
     let row = |title: &str| {
         let rows = table["rows"].as_array().expect("rows");

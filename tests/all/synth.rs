@@ -141,6 +141,7 @@ fn every_option_of_a_subject_acts() {
         TINY,
         &[
             ("scans = 3", "scans = 2"),
+            ("held_out = [\"scan-02\"]", "held_out = [\"scan-01\"]"),
             ("type = \"vertex\"", "type = \"colour\"\npalette = [{ label = \"upper\", colour = [1, 2, 3] }]"),
         ],
     );
