@@ -3,7 +3,7 @@
 
 use crate::{Section, table};
 use caphy::config::{Config, RestScale, SubjectConfig, SyntheticConfig, WornEquilibrium};
-use caphy::estimate::{WornOn, attached, capture, ten_fabrics};
+use caphy::estimate::{WornOn, attached, capture, put_on, ten_fabrics};
 use caphy::files::ProjectFiles;
 use caphy::physics::solver_forces;
 use caphy::plugins::Plugins;
@@ -39,7 +39,7 @@ out = "nowhere"
 [subject]
 type = "synthetic"
 scans = 3
-held_out = 1
+held_out = ["scan-02"]
 upper_material = { type = "measured", fabric = "FABRIC" }
 lower_material = { type = "measured", fabric = "FABRIC" }
 [body]
@@ -112,7 +112,8 @@ impl Shirt {
             let (positions, normals) = track.gather::<f64>(&[i], 1)?;
             let on = WornOn { positions, normals, map: map.clone(), transforms: track.transforms(&[i])[0] };
             let mut solver = Solver::new(&rest, material.clone(), forces, solver)?;
-            captures.push(capture(&format!("pose {i}"), shirt, on, &mut solver, points)?);
+            let captured = capture(&format!("pose {i}"), shirt, on, solver.held_vertices(), points)?;
+            captures.push(put_on(captured, &mut solver)?);
         }
         let parts = CutPart::of_limbs(&shirt.weights, rest.faces())?;
         Ok(attached(Problem { rest, material, forces, solver, captures, weighed: true, parts })?)

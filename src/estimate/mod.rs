@@ -14,4 +14,4 @@ pub use config::{
 pub use fit::{How, Kept, fit, ten_fabrics};
 pub use found::{Estimated, FabricFound, Factor};
 pub use run::{Summary, run};
-pub use worn::{WornOn, attached, capture};
+pub use worn::{WornOn, attached, capture, put_on};

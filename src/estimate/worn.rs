@@ -77,7 +77,8 @@ impl<'a> Wardrobe<'a> {
         &self.worn[garment]
     }
 
-    /// The problem of one garment made of a material, each pose starting from the net's shape.
+    /// The problem of one garment made of a material, each pose starting from the net's shape; where poses will be `simulated`, they
+    /// are put on first.
     ///
     /// # Errors
     /// As [`FittedGarment::rest`], those of scans and solver.
@@ -86,10 +87,13 @@ impl<'a> Wardrobe<'a> {
         garment: usize,
         material: Arc<dyn MaterialModel>,
         solver: SolverSettings,
+        simulated: bool,
     ) -> Result<Problem> {
         let fitted = &self.subject.garments[garment];
         let rest = fitted.rest(&*material)?;
         let forces = solver_forces(&self.context.config.train);
+        // Which vertices a solver holds follows from the rest state alone.
+        let held = Solver::new(&rest, material.clone(), forces, solver)?.held_vertices().to_vec();
         let visible = scan_frames(self.context, self.subject, fitted, self.scene.scan_track(self.subject)?)?.visible;
         let under = self.under(fitted.kind);
         let map = self.scene.contact(fitted)?;
@@ -110,8 +114,10 @@ impl<'a> Wardrobe<'a> {
                 }
                 let transforms = self.track.transforms(&[i])[0];
                 let on = WornOn { positions, normals, map: map.clone(), transforms };
-                let mut solver = Solver::new(&rest, material.clone(), forces, solver)?;
-                let capture = capture(&scan.name, fitted, on, &mut solver, self.points(scan, fitted.kind, &visible)?)?;
+                let mut capture = capture(&scan.name, fitted, on, &held, self.points(scan, fitted.kind, &visible)?)?;
+                if simulated {
+                    capture = put_on(capture, &mut Solver::new(&rest, material.clone(), forces, solver)?)?;
+                }
                 Ok(Capture { start: self.worn[garment][i].clone(), ..capture })
             })
             .collect::<Vec<Result<Capture>>>();
@@ -156,38 +162,24 @@ pub struct WornOn<'a> {
     pub transforms: &'a [Matrix3x4<f64>],
 }
 
-/// A garment in one pose, put on by the solver from where skinning carries it, which says on which side of every limb it is.
+/// A garment in one pose, where skinning carries it; `held` are the vertices that its solver holds.
 ///
 /// # Errors
-/// [`Error::Length`] for transforms of another body; as [`Solver::solve`].
-pub fn capture(
-    name: &str,
-    garment: &FittedGarment,
-    on: WornOn<'_>,
-    solver: &mut Solver,
-    scan: ScanPoints,
-) -> Result<Capture> {
+/// [`Error::Length`] for transforms of another body.
+pub fn capture(name: &str, garment: &FittedGarment, on: WornOn<'_>, held: &[u32], scan: ScanPoints) -> Result<Capture> {
     let skinned = garment.skinned(on.transforms)?;
-    let targets: Vec<Vec3> = solver.held_vertices().iter().map(|&v| skinned[v as usize]).collect();
     let map = on.map;
-    let search = |x: &Frames<f64>| map.nearest(x, &on.positions);
-    let scene = solver::Scene {
-        body: Some(Obstacle { positions: &on.positions, normals: &on.normals, before: None, search: Some(&search) }),
-        targets: Some(&targets),
-        ..Default::default()
-    };
-    let worn = solver.solve(&scene, &skinned, &|_| {})?;
     Ok(Capture {
         name: name.into(),
-        start: worn.positions.clone(),
         fixed: Vec::new(),
-        targets,
+        targets: held.iter().map(|&v| skinned[v as usize]).collect(),
         blends: (0..skinned.len())
             .map(|v| garment.weights.blend(v, on.transforms).fixed_columns::<3>(0).into_owned())
             .collect(),
+        start: skinned,
         scan,
         anchors: None,
-        worn: Some(Arc::new(worn)),
+        worn: None,
         sigma_m: None,
         body: Some(Surroundings {
             positions: on.positions,
@@ -195,6 +187,27 @@ pub fn capture(
             search: Some(Arc::new(move |x, body| map.nearest(x, body))),
         }),
     })
+}
+
+/// The same put on by the solver from where skinning carries it, which says on which side of every limb the cloth is.
+///
+/// # Errors
+/// As [`Solver::solve`].
+pub fn put_on(capture: Capture, solver: &mut Solver) -> Result<Capture> {
+    let body = capture.body.as_ref();
+    let search = |x: &Frames<f64>| match body {
+        Some(Surroundings { positions, search: Some(search), .. }) => search(x, positions),
+        _ => Ok(Vec::new()),
+    };
+    let obstacle = body.map(|b| Obstacle {
+        positions: &b.positions,
+        normals: &b.normals,
+        before: None,
+        search: Some(&search as &dyn Fn(&Frames<f64>) -> Result<Vec<u32>>),
+    });
+    let scene = solver::Scene { body: obstacle, targets: Some(&capture.targets), ..Default::default() };
+    let worn = solver.solve(&scene, &capture.start, &|_| {})?;
+    Ok(Capture { start: worn.positions.clone(), worn: Some(Arc::new(worn)), ..capture })
 }
 
 /// The same problem with each pose put on its scan: where friction then holds it is where it was seen. Friction acts on the way, too:
@@ -271,7 +284,8 @@ mod tests {
         let mut solver = Solver::new(&rest, fabric.clone(), forces, settings).unwrap();
         // The scan plays no part.
         let scan = ScanPoints::Known { vertices: vec![0], points: vec![Vec3::zeros()] };
-        let worn = Capture { sigma_m: Some(1e-3), ..capture("arms down", shirt, on, &mut solver, scan).unwrap() };
+        let worn = capture("arms down", shirt, on, solver.held_vertices(), scan).unwrap();
+        let worn = Capture { sigma_m: Some(1e-3), ..put_on(worn, &mut solver).unwrap() };
         let moved = |capture: Capture| {
             let start = vec![capture.start.clone()];
             let (rest, parts) = (rest.clone(), Vec::new());

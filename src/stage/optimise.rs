@@ -95,7 +95,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets, scans: &Scans)
         let kept = Kept { folder: context.folder, name: &name, key: context.key };
         let fabrics = if table.is_measured() { ten_fabrics()? } else { Vec::new() };
         let simulated = |how: How, choice: ReductionChoice, solver: SolverSettings| -> Result<(FabricFound, Problem)> {
-            let problem = attached(wardrobe.problem(index, start.clone(), solver)?)?;
+            let problem = attached(wardrobe.problem(index, start.clone(), solver, true)?)?;
             let found = match fit(&problem, &how, choice, &fabrics, &kept, &set, &note) {
                 // A fit that comes to nothing must not end the run.
                 Err(Error::Numerics { what, problem: why, remedy }) => {
@@ -116,7 +116,7 @@ pub fn run(context: &Context<'_>, subject: &Subject, nets: &Nets, scans: &Scans)
             EstimatorConfig::Alternation(a) => match a.inner {
                 Inner::Solver => simulated(How::Alternation(a.settings()), ReductionChoice::Multipliers, a.solver)?,
                 Inner::Net => {
-                    let problem = wardrobe.problem(index, start, a.solver)?;
+                    let problem = wardrobe.problem(index, start, a.solver, false)?;
                     (by_net(&problem, &wardrobe, index, a)?, problem)
                 }
             },
