@@ -97,10 +97,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("{text}");
         return Ok(());
     }
-    text += "\n## Worn garments\n\n\
-        None of the above knows an error of the body under the clothes or of the template's cut, which are millimetres, not half a \
-        millimetre. In a run both are fitted along under priors, and χ² far above 1 widens the intervals; that they then cover the truth \
-        is not shown yet.\n";
+    text += "\n## In a run\n\n\
+        The body under the clothes and the template's cut are off by millimetres there, too. Both are fitted along under priors; what still \
+        misfits is weighed as such, and an answer whose poses fit more than three times worse than the noise is shown and not used.\n";
     write_atomically(&page, text.as_bytes())?;
     println!("{}", page.display());
     Ok(())
