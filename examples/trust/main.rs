@@ -98,8 +98,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Ok(());
     }
     text += "\n## In a run\n\n\
-        The body under the clothes and the template's cut are off by millimetres there, too. Both are fitted along under priors; what still \
-        misfits is weighed as such, and an answer whose poses fit more than three times worse than the noise is shown and not used.\n";
+        The body under the clothes and the template's cut are off by millimetres there, too. Both are fitted along under priors, \
+        and an answer whose poses fit more than three times worse than the noise is shown and not used.\n";
     write_atomically(&page, text.as_bytes())?;
     println!("{}", page.display());
     Ok(())

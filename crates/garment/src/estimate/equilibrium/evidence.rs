@@ -239,7 +239,7 @@ impl Fit<'_> {
         }
     }
     /// Factor on the noise's variance, from how much worse than it the poses that took part fit.
-    pub(super) fn inflation(&self, trials: &[Option<Trial>]) -> f64 {
+    fn inflation(&self, trials: &[Option<Trial>]) -> f64 {
         let (mut sum, mut count, mut poses) = (0.0, 0, 0);
         for (i, trial) in trials.iter().enumerate().filter(|(i, _)| !self.state.left_out[*i]) {
             let Some(trial) = trial else { continue };

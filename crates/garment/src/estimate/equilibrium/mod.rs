@@ -7,8 +7,7 @@
 //! answer useless, because membrane forces are second differences of positions. Here noise enters the residual instead.
 //!
 //! x*(Θ) jumps between buckling branches. So the fit begins with springs to the scan, x_λ = argmin E + ½ λ‖x − scan‖², whose λ falls
-//! to 0; and a pose that does not fit in the end is attached and released again, then left out. Where even then poses fit worse than
-//! the noise, distances are weighed by that and the fit goes on: what misfits is no evidence, and the prior has its say.
+//! to 0; and a pose that does not fit in the end is attached and released again, then left out.
 //!
 //! # Limitations
 //! Static shapes show Θ over density only. Friction is modelled but not known. Values belong to this mesh.
@@ -43,9 +42,6 @@ use unknowns::Unknowns;
 const TRIES: usize = 8;
 /// Rounds of leaving poses out.
 const GATINGS: usize = 3;
-/// Times that distances are weighed anew by how badly poses fit, and the factor on their variance that is worth it.
-const TEMPERINGS: usize = 2;
-const TEMPERED: f64 = 1.5;
 /// Promised gain, in units of half χ², below which a step at a λ that is to fall yet is not worth its time.
 const GOOD_ENOUGH: f64 = 0.2;
 /// Poses that fit so much worse than the median are attached and released again, whatever the gate.
@@ -113,10 +109,6 @@ pub struct FitState {
     pub left_out: Vec<bool>,
     /// Times that poses were left out.
     pub gatings: usize,
-    /// Factor on the noise's variance that distances are weighed by: 1 until poses are seen to fit worse than the noise.
-    pub tempering: f64,
-    /// Times that it was set.
-    pub temperings: usize,
     /// Simulations of all poses so far.
     pub evaluations: usize,
 }
@@ -192,8 +184,6 @@ impl<'p> Fit<'p> {
             shapes: poses.iter().map(|p| packed(&p.x)).collect(),
             left_out: vec![false; poses.len()],
             gatings: 0,
-            tempering: 1.0,
-            temperings: 0,
             evaluations: 0,
         };
         let kept = state.clone();
@@ -262,7 +252,7 @@ impl<'p> Fit<'p> {
     }
     /// Cost of trials with the prior; poses that found no rest make it infinite unless they had none before.
     fn cost(&self, y: &[f64], trials: &[Option<Trial>]) -> f64 {
-        let data = trials.iter().flatten().map(|t| t.cost).sum::<f64>() / self.state.tempering;
+        let data: f64 = trials.iter().flatten().map(|t| t.cost).sum();
         let off = self.off_start(y);
         let prior = 0.5 * (&self.unknowns.prior * &off).dot(&off);
         data + prior
@@ -298,8 +288,8 @@ impl<'p> Fit<'p> {
             h += weighted.transpose() * &s.by_unknown;
             g += weighted.transpose() * &s.residual;
         }
-        h = h / self.state.tempering + &self.unknowns.prior;
-        g = g / self.state.tempering + &self.unknowns.prior * self.off_start(y);
+        h += &self.unknowns.prior;
+        g += &self.unknowns.prior * self.off_start(y);
         Normal { h, g }
     }
 
@@ -310,12 +300,6 @@ impl<'p> Fit<'p> {
             let last = self.state.stage + 1 == self.settings.continuation.len();
             if last && self.state.gatings < GATINGS && self.gate()? {
                 self.state.gatings += 1;
-                self.state.step = 0;
-                self.state.reach = self.settings.largest_step;
-                continue;
-            }
-            if last && self.state.temperings < TEMPERINGS && self.temper()? {
-                self.state.temperings += 1;
                 self.state.step = 0;
                 self.state.reach = self.settings.largest_step;
                 continue;
@@ -439,23 +423,6 @@ impl<'p> Fit<'p> {
         let share = (self.state.stage as f64 + self.state.step as f64 / of.max(1) as f64) / stages;
         let message = format!("λ {lambda}, step {}, cost {cost:.5e}", self.state.step);
         progress(FitProgress { share: 0.9 * share.min(1.0), message: &message, state: &self.kept })
-    }
-
-    /// Weighs distances by how badly poses fit; `true` when that differs from before. A misfit of the body or of folds is no evidence on
-    /// the fabric: weighed as noise of half a millimetre it would pull the fabric anywhere, and intervals that are widened afterwards
-    /// would stand around the wrong place.
-    fn temper(&mut self) -> Result<bool> {
-        let y = self.state.y.clone();
-        let part = self.taking_part();
-        let none = self.pulls(0.0)?;
-        let trials = self.attempt(&y, &none, None, &part)?;
-        self.take(y, &trials);
-        let factor = self.inflation(&trials);
-        let changed = !(factor / TEMPERED..=factor * TEMPERED).contains(&self.state.tempering);
-        if changed {
-            self.state.tempering = factor;
-        }
-        Ok(changed)
     }
 
     /// χ² per measurement of each pose [`None`: left out].
