@@ -45,7 +45,7 @@ fn assert_same_as_finished(experiment: &Experiment, what: &str) {
 }
 
 #[test]
-#[ignore = "a minute or more: about five whole runs"]
+#[ignore = "about five whole runs take a minute or more; .ci/slow runs it"]
 fn whole_runs_killed_at_twenty_moments_end_with_the_same_bits() {
     finished();
     let started = Instant::now();
