@@ -11,8 +11,9 @@ use caphy::track::{BodyTrack, Reach};
 use caphy::trainer::{Batch, BatchKind, GarmentLearner, MotionFrames, ScanFrames, untrained};
 use caphy_bodymodel::procedural_motion::{MotionKind, procedural_clip};
 use caphy_core::Vec3;
-use caphy_core::body::{BodyModel, BodyParameters};
+use caphy_core::body::{BlendWeights, BodyModel, BodyParameters};
 use caphy_core::lanes::Frames;
+use caphy_garment::contact::ContactMap;
 use caphy_garment::energy::{ScanCloud, nearest_body_vertices};
 use caphy_garment::skinning::WeightOptions;
 use caphy_garment::template::{BodyRest, Style, Tailor, UpperStyle};
@@ -47,6 +48,7 @@ fn plan(c: &mut Criterion) {
         near.vertices.len(),
         whole.vertices.len()
     );
+    let one_joint = BlendWeights::from_rows(shirt.mesh.vertices.iter().map(|_| vec![(0u16, 1.0)]));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
     let mut garment = Frames::<f32>::zeros(5, shirt.mesh.vertices.len(), 16);
     let mut group = c.benchmark_group("80 frames, one thread");
@@ -71,6 +73,16 @@ fn plan(c: &mut Criterion) {
         group.bench_function(format!("contact map, {name}"), |b| {
             b.iter(|| pool.install(|| contact.nearest_into(&garment, &positions, &mut nearest).expect("pairs")));
         });
+        // The same search where every part of the body is a candidate for all of the garment.
+        let at: Vec<Vec3> = reach.vertices.iter().map(|&v| skin.vertices[v as usize]).collect();
+        let every = ContactMap::new(&shirt.mesh.vertices, &one_joint, &at, &vec![Vec3::z(); at.len()], 10.0);
+        let every = every.expect("a map of everything");
+        let mut unlimited = Vec::new();
+        group.bench_function(format!("every vertex a candidate, {name}"), |b| {
+            b.iter(|| pool.install(|| every.nearest_into(&garment, &positions, &mut unlimited).expect("pairs")));
+        });
+        let same = nearest.iter().zip(&unlimited).filter(|(a, b)| a == b).count();
+        println!("{name}: the map gives {:.2} % of pairs as without it", 100.0 * same as f64 / nearest.len() as f64);
     }
     group.finish();
     steps(c, &pool, &plugins, &body, &subject, &skin, &shirt, [&near, &whole], &clip.poses);

@@ -69,7 +69,7 @@ fn main() -> ExitCode {
     match run(&Cli::parse()) {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("error: {error}");
+            command::note!("error: {error}");
             ExitCode::FAILURE
         }
     }

@@ -1,6 +1,5 @@
 //! Pictures of the pipeline's results, for the report.
 
-use caphy_core::pose::Pose;
 use caphy_core::scan::{Label, LabelledPoints};
 use caphy_core::{Result, TriMesh, Vec3, mesh};
 use caphy_garment::template::GarmentKind;
@@ -73,19 +72,4 @@ pub fn label_colours(points: &LabelledPoints) -> Vec<[u8; 3]> {
 pub fn sheet(pictures: &[(String, Rgb)], columns: usize) -> Result<Vec<u8>> {
     let list: Vec<(&str, &Rgb)> = pictures.iter().map(|(label, picture)| (label.as_str(), picture)).collect();
     png(&caphy_render::contact_sheet(&list, columns))
-}
-
-/// How far a pose is from standing upright with straight limbs [rad]: root tilt and heading do not count, arms little, since
-/// both T- and A-poses are standard.
-pub fn distance_to_standard(pose: &Pose, joint_names: &[caphy_core::body::Joint]) -> f64 {
-    pose.rotations
-        .iter()
-        .zip(joint_names)
-        .skip(1)
-        .map(|(r, joint)| {
-            let arm = ["shoulder", "collar"].iter().any(|part| joint.name.contains(part));
-            r.norm_squared() * if arm { 0.2 } else { 1.0 }
-        })
-        .sum::<f64>()
-        .sqrt()
 }

@@ -14,7 +14,7 @@ mod bending;
 mod disturbed;
 mod drapes;
 mod fits;
-#[path = "../../crates/garment/tests/estimate/study.rs"]
+#[path = "../../crates/garment/tests/all/estimate/study.rs"]
 #[allow(dead_code, reason = "shared with the tests, which use all of it")]
 mod study;
 mod worn;

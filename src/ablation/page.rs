@@ -1,6 +1,6 @@
 //! The page of an ablation, self-contained.
 
-use super::table::{COMPARED, HEAD, MEANING};
+use super::table::MEANING;
 use super::{PaperRow, Row, Table};
 use crate::page;
 use crate::plot::{Difference, escape, intervals, number};
@@ -18,7 +18,7 @@ fn plots(table: &Table, rows: &[&Row]) -> String {
     let perceptual: (&str, OfPaper) = ("the paper’s two cases, by VGG-16", |p| p.perceptual);
     let base = rows.iter().find(|r| r.title == table.against).and_then(|r| r.paper);
     let mut out = String::new();
-    for (i, name) in COMPARED.into_iter().enumerate() {
+    for (i, (name, head)) in table.compared().enumerate() {
         let (legend, of) = if i == 0 { chamfer } else { perceptual };
         let difference = |row: &&Row| {
             let compared = row.compared.iter().find(|c| c.name == name)?;
@@ -29,7 +29,7 @@ fn plots(table: &Table, rows: &[&Row]) -> String {
             Some(Difference { name: row.title.clone(), change: compared.change, others })
         };
         let differences: Vec<Difference> = rows.iter().filter_map(difference).collect();
-        let title = if i == 0 { "3D-CD" } else { name };
+        let title = if i == 0 { "3D-CD" } else { head };
         out += &intervals(title, &format!("change against “{}”, %", table.against), legend, &differences);
     }
     out
@@ -51,7 +51,9 @@ pub(super) fn page(table: &Table, pictures: &[(String, PathBuf)]) -> Result<Stri
         let rows: Vec<_> = table.rows.iter().filter(|r| r.kind == kind).collect();
         let _ = write!(html, "<h2>{kind} garment</h2><p>{} held-out scans.</p>", rows[0].scans);
         html.push_str(&plots(table, &rows));
-        page::table(&mut html, &HEAD, rows.iter().map(|r| r.cells().to_vec()));
+        let head = table.head();
+        let head: Vec<&str> = head.iter().map(String::as_str).collect();
+        page::table(&mut html, &head, rows.iter().map(|r| table.cells(r)));
         let _ = write!(html, "<details><summary>Everything that was measured</summary>");
         let names: Vec<&str> = rows[0].means.iter().map(|m| m.name.as_str()).collect();
         let head: Vec<&str> =

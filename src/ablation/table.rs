@@ -2,7 +2,7 @@
 
 use super::{AblationConfig, Interval, PaperRow, ratio_interval, title};
 use crate::config::{OptimiseConfig, TrainConfig};
-use crate::measure::Fit;
+use crate::measure::{Fit, PERCEPTUAL};
 use crate::plot::number;
 use crate::stage::evaluate::{GarmentScore, Scores};
 use caphy_core::{Error, Result};
@@ -64,8 +64,13 @@ pub struct Compared {
     pub change: Interval,
 }
 
-/// Measures that differences are told of.
-pub(super) const COMPARED: [&str; 3] = ["mean of both, mm", "normal maps", "1 − MS-SSIM"];
+/// Measures that differences are told of, with the heads of their columns; a network's only where one was given.
+pub(super) const COMPARED: [(&str, &str); 4] = [
+    ("mean of both, mm", "3D-CD, mm"),
+    ("normal maps", "normal maps"),
+    ("1 − MS-SSIM", "1 − MS-SSIM"),
+    (PERCEPTUAL, "VGG-16"),
+];
 
 impl Table {
     /// From the scores of variants, shape [variant][seed].
@@ -90,7 +95,7 @@ impl Table {
             }
             let base = measured(&reference, |g| Some(g.named()));
             let row = |title: &str, means: Vec<Measured>| {
-                let compared = COMPARED.iter().filter_map(|name| {
+                let compared = COMPARED.iter().filter_map(|(name, _)| {
                     let of = |list: &[Measured]| list.iter().find(|m| m.name == *name).map(|m| m.values.clone());
                     Some(Compared { name: name.to_string(), change: ratio_interval(&of(&means)?, &of(&base)?) })
                 });
@@ -144,60 +149,66 @@ impl Table {
                     self.seeds,
                     self.against
                 );
-                let _ = writeln!(out, "{}", line(&HEAD.map(str::to_string)));
+                let _ = writeln!(out, "{}", line(&self.head()));
                 kind = Some(row.kind);
             }
-            let _ = writeln!(out, "{}", line(&row.cells()));
+            let _ = writeln!(out, "{}", line(&self.cells(row)));
         }
         out.push_str(MEANING);
         out
     }
 }
 
-/// Heads of the columns.
-pub(super) const HEAD: [&str; 7] =
-    ["", "3D-CD, mm", "normal maps", "1 − MS-SSIM", "inside, %", "steps", "paper: 3D-CD, perceptual"];
-
 /// What the columns are.
 pub(super) const MEANING: &str = "\n3D-CD: mean of the mean distances scan → surface and visible vertices → scan, not squared. Normal maps and \
-MS-SSIM stand in for the paper's perceptual error by VGG-16 and cannot be compared with it in size. Intervals tell what other scans of \
+MS-SSIM stand in for the paper's perceptual error by VGG-16, for which no network is part of this program, and cannot be compared \
+with it in size. Intervals tell what other scans of \
 the same people would change; what another training would, only several seeds show.\n";
 
-fn line(cells: &[String; 7]) -> String {
-    let [title, rest @ ..] = cells;
-    let widths = [32, 32, 32, 9, 7, 26];
+fn line(cells: &[String]) -> String {
+    let Some((title, rest)) = cells.split_first() else { return String::new() };
     let mut out = format!("{title:<38}");
-    for (cell, width) in rest.iter().zip(widths) {
+    for (i, cell) in rest.iter().enumerate() {
+        // Compared measures stand before the last three columns.
+        let width = [32, 9, 7, 26][(i + 4).saturating_sub(rest.len())];
         let _ = write!(out, " {cell:<width$}");
     }
     out.trim_end().to_string()
 }
 
-impl Row {
-    /// One cell per column.
-    pub(super) fn cells(&self) -> [String; 7] {
-        let mean = |name: &str| self.means.iter().find(|m| m.name == name).map(|m| m.mean);
+impl Table {
+    /// Measures that differences are told of and that were measured, with their heads.
+    pub(super) fn compared(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
+        let known = |name: &str| self.rows.iter().any(|row| row.means.iter().any(|m| m.name == name));
+        COMPARED.into_iter().filter(move |(name, _)| known(name))
+    }
+    /// Heads of the columns.
+    pub(super) fn head(&self) -> Vec<String> {
+        let compared = self.compared().map(|(_, head)| head);
+        let all = std::iter::once("").chain(compared).chain(["inside, %", "steps", "paper: 3D-CD, perceptual"]);
+        all.map(str::to_string).collect()
+    }
+    /// A row, one cell per column.
+    pub(super) fn cells(&self, row: &Row) -> Vec<String> {
+        let mean = |name: &str| row.means.iter().find(|m| m.name == name).map(|m| m.mean);
         let compared = |name: &str| {
             let value = mean(name).map_or("–".into(), number);
-            match self.compared.iter().find(|c| c.name == name) {
+            match row.compared.iter().find(|c| c.name == name) {
                 Some(c) => format!("{value} ({})", percent(&c.change)),
                 None => value,
             }
         };
-        let paper = self.paper.map_or(String::new(), |p| {
+        let paper = row.paper.map_or(String::new(), |p| {
             let [a, b] = p.chamfer_mm.map(|v| v.to_string());
             let [c, d] = p.perceptual.map(|v| v.to_string());
             format!("{a}, {b}; {c}, {d}")
         });
-        [
-            self.title.clone(),
-            compared(COMPARED[0]),
-            compared(COMPARED[1]),
-            compared(COMPARED[2]),
-            mean("inside body, %").map_or("–".into(), |v| format!("{v:.2}")),
-            if self.steps == 0 { "–".into() } else { self.steps.to_string() },
-            paper,
-        ]
+        let mut out = vec![row.title.clone()];
+        out.extend(self.compared().map(|(name, _)| compared(name)));
+        out.push(mean("inside body, %").map_or("–".into(), |v| format!("{v:.2}")));
+        out.push(if row.steps == 0 { "–".into() } else { row.steps.to_string() });
+        out.push(paper);
+        out
     }
 }
 

@@ -31,17 +31,17 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> {
     let started = Instant::now();
     let ablation = Ablation::open(&arguments.config, arguments.out.clone(), plugins)?;
-    let ended = ablation.run(plugins, &|what| eprintln!("{what}"))?;
+    let ended = ablation.run(plugins, &|what| note!("{what}"))?;
     if arguments.json {
-        println!("{}", json(&ended.table)?);
+        say!("{}", json(&ended.table)?)?;
         return Ok(ExitCode::SUCCESS);
     }
-    print!("{}", ended.table.text());
+    tell!("{}", ended.table.text())?;
     if ended.ran.is_empty() {
-        println!("Nothing to do: every run was up to date.");
+        say!("Nothing to do: every run was up to date.")?;
     } else {
-        println!("Ran {} in {:.0} s.", ended.ran.join(", "), started.elapsed().as_secs_f64());
+        say!("Ran {} in {:.0} s.", ended.ran.join(", "), started.elapsed().as_secs_f64())?;
     }
-    println!("Report: {}", shown(&ended.folder.join("report.html")).display());
+    say!("Report: {}", shown(&ended.folder.join("report.html")).display())?;
     Ok(ExitCode::SUCCESS)
 }

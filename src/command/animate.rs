@@ -51,7 +51,7 @@ pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> 
             dressed.frame_count()
         }
     };
-    eprintln!("{frames} frames in {:.1} s.", started.elapsed().as_secs_f64());
+    note!("{frames} frames in {:.1} s.", started.elapsed().as_secs_f64());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -68,7 +68,7 @@ fn avatar(arguments: &Arguments, path: &Path, plugins: &Plugins) -> Result<usize
     let net = avatar.net(plugins)?;
     let film = perform(&scene, &avatar.garments, &avatar.nets, &net, clip, &push, &|_| {})?;
     for garment in &film.garments {
-        eprintln!(
+        note!(
             "{}: {:.2} % of vertices inside the body before they were pushed out, {:.1} mm at most",
             garment.kind,
             100.0 * garment.penetrating,

@@ -45,10 +45,10 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
         conformity::named(plugins, &arguments.subject, table.as_deref(), files)?
     };
     if arguments.json {
-        println!("{}", json(&reports)?);
+        say!("{}", json(&reports)?)?;
     } else {
         for report in &reports {
-            println!("{}", report.text());
+            say!("{}", report.text())?;
         }
     }
     let failures: usize = reports.iter().map(Report::failures).sum();

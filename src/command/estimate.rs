@@ -43,33 +43,33 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
         let run = Run::open_with(&arguments.config, arguments.out.clone(), plugins)?.only("optimise")?;
         let summary = run.all()?;
         if arguments.json {
-            println!("{}", json(&summary.fabrics)?);
+            say!("{}", json(&summary.fabrics)?)?;
             return Ok(ExitCode::SUCCESS);
         }
-        print!("{}", summary.table);
+        tell!("{}", summary.table)?;
         for page in summary.fabrics.iter().flat_map(|f| &f.garments).map(|g| summary.folder.join(&g.page)) {
-            println!("Report: {}", page.display());
+            say!("Report: {}", page.display())?;
         }
         return Ok(ExitCode::SUCCESS);
     }
     let summary = estimate::run(&arguments.config, arguments.out.as_deref(), plugins)?;
     if arguments.json {
-        println!("{}", json(&summary)?);
+        say!("{}", json(&summary)?)?;
         return Ok(ExitCode::SUCCESS);
     }
     for f in summary.fabric.estimate.factors() {
         let interval = f.interval.map(|[low, high]| format!("  [{low:.3}, {high:.3}]")).unwrap_or_default();
-        println!("{:24} × {:7.3}{interval}  {}", f.name, f.factor, f.note);
+        say!("{:24} × {:7.3}{interval}  {}", f.name, f.factor, f.note)?;
     }
     if let Some(first) = summary.fabric.nearest.first() {
-        println!("nearest of the ten: {} ({:.0} %)", first.name, 100.0 * first.probability);
+        say!("nearest of the ten: {} ({:.0} %)", first.name, 100.0 * first.probability)?;
     }
     for (pose, coefficient) in &summary.drape_coefficients {
-        println!("drape coefficient of {pose}, simulated: {coefficient:.3}");
+        say!("drape coefficient of {pose}, simulated: {coefficient:.3}")?;
     }
     for warning in summary.fabric.estimate.warnings() {
-        println!("note: {warning}");
+        say!("note: {warning}")?;
     }
-    println!("Report: {}", summary.page.display());
+    say!("Report: {}", summary.page.display())?;
     Ok(ExitCode::SUCCESS)
 }

@@ -159,7 +159,7 @@ impl Files {
         write_atomically(&preview, &moving::preview(figure, PREVIEW)?)?;
         files.push(preview);
         for file in files {
-            println!("{}", file.display());
+            say!("{}", file.display())?;
         }
         Ok(())
     }

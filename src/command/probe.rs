@@ -42,26 +42,26 @@ pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> 
     if let Some(file) = &arguments.gradients {
         let answers = probe::gradients(&*material, file, &read(file)?)?;
         if arguments.json {
-            println!("{}", json(&answers)?);
+            say!("{}", json(&answers)?)?;
         } else {
-            println!("      Guu       Gvv       Guv   psi [J/m²]    Suu [N/m]    Svv [N/m]    Suv [N/m]");
+            say!("      Guu       Gvv       Guv   psi [J/m²]    Suu [N/m]    Svv [N/m]    Suv [N/m]")?;
             for a in &answers {
                 let [u, v, w] = a.green;
                 let [suu, svv, suv] = a.second_pk;
-                println!("{u:9.5} {v:9.5} {w:9.5} {:12.5e} {suu:12.5e} {svv:12.5e} {suv:12.5e}", a.energy);
+                say!("{u:9.5} {v:9.5} {w:9.5} {:12.5e} {suu:12.5e} {svv:12.5e} {suv:12.5e}", a.energy)?;
             }
         }
     }
     if let Some(file) = &arguments.hinges {
         let answers = probe::hinges(&material, file, &read(file)?)?;
         if arguments.json {
-            println!("{}", json(&answers)?);
+            say!("{}", json(&answers)?)?;
         } else {
-            println!("theta [rad]      k [N·m]   energy [J]   |force| on n0, n1, n2, n3 [N]");
+            say!("theta [rad]      k [N·m]   energy [J]   |force| on n0, n1, n2, n3 [N]")?;
             for a in &answers {
                 let size = |f: &[f64; 3]| f[0].hypot(f[1]).hypot(f[2]);
                 let forces: Vec<String> = a.force.iter().map(|f| format!("{:10.3e}", size(f))).collect();
-                println!("{:11.6} {:12.5e} {:12.5e}   {}", a.theta, a.stiffness, a.energy, forces.join(" "));
+                say!("{:11.6} {:12.5e} {:12.5e}   {}", a.theta, a.stiffness, a.energy, forces.join(" "))?;
             }
         }
     }

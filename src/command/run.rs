@@ -65,19 +65,19 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
     if let Some(of) = &arguments.replay {
         let replayed = runner::replay(of, arguments.out.clone(), plugins)?;
         if arguments.json {
-            println!("{}", json(&replayed)?);
+            say!("{}", json(&replayed)?)?;
         } else {
-            ended(&replayed.summary, started, arguments.profile);
-            print!("{}", replayed.text());
+            ended(&replayed.summary, started, arguments.profile)?;
+            tell!("{}", replayed.text())?;
         }
         return Ok(if replayed.is_same() { ExitCode::SUCCESS } else { ExitCode::FAILURE });
     }
     if let [first, second] = &arguments.compare[..] {
         let difference = runner::compare([first, second])?;
         if arguments.json {
-            println!("{}", json(&difference)?);
+            say!("{}", json(&difference)?)?;
         } else {
-            print!("{}", difference.text());
+            tell!("{}", difference.text())?;
         }
         return Ok(ExitCode::SUCCESS);
     }
@@ -103,9 +103,9 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
         }
         let plan = run.plan()?;
         if arguments.json {
-            println!("{}", json(&plan)?);
+            say!("{}", json(&plan)?)?;
         } else {
-            print!("{}", plan.text());
+            tell!("{}", plan.text())?;
         }
         return Ok(ExitCode::SUCCESS);
     }
@@ -113,24 +113,25 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
         run = run.profiled();
     }
     let summary = run.all()?;
-    ended(&summary, started, arguments.profile);
+    ended(&summary, started, arguments.profile)?;
     Ok(ExitCode::SUCCESS)
 }
 
 /// What a run says at its end.
-fn ended(summary: &Summary, started: Instant, profile: bool) {
-    print!("{}", summary.table);
+fn ended(summary: &Summary, started: Instant, profile: bool) -> Result<()> {
+    tell!("{}", summary.table)?;
     if profile {
         for (part, ms) in &summary.profile {
-            println!("{ms:9.2} ms  {}", part.trim_end_matches(", ms"));
+            say!("{ms:9.2} ms  {}", part.trim_end_matches(", ms"))?;
         }
     }
     if summary.ran.is_empty() {
-        println!("Nothing to do: every stage was up to date.");
+        say!("Nothing to do: every stage was up to date.")?;
     } else {
-        println!("Ran {} in {:.0} s.", summary.ran.join(", "), started.elapsed().as_secs_f64());
+        say!("Ran {} in {:.0} s.", summary.ran.join(", "), started.elapsed().as_secs_f64())?;
     }
     if let Some(report) = &summary.report {
-        println!("Report: {}", shown(report).display());
+        say!("Report: {}", shown(report).display())?;
     }
+    Ok(())
 }

@@ -137,13 +137,13 @@ impl Form {
         picture: impl FnOnce() -> Result<Vec<u8>>,
     ) -> Result<()> {
         if self.json {
-            println!("{}", json(facts)?);
+            say!("{}", json(facts)?)?;
         } else {
-            print!("{}", text(facts));
+            tell!("{}", text(facts))?;
         }
         if let Some(path) = &self.picture {
             write_atomically(Path::new(path), &picture()?)?;
-            eprintln!("Picture: {}", path.display());
+            note!("Picture: {}", path.display());
         }
         Ok(())
     }
@@ -154,12 +154,12 @@ pub(crate) fn run(what: &What, plugins: &Plugins) -> Result<ExitCode> {
         What::Fabrics { json: as_json, plot } => {
             if let Some(folder) = plot {
                 let page = fabrics::plot(folder)?;
-                eprintln!("Curves: {}", page.display());
+                note!("Curves: {}", page.display());
             }
             if *as_json {
-                println!("{}", json(&fabrics::facts()?)?);
+                say!("{}", json(&fabrics::facts()?)?)?;
             } else if plot.is_none() {
-                print!("{}", fabrics::table()?);
+                tell!("{}", fabrics::table()?)?;
             }
         }
         What::Body { body: name, shape, form } => {

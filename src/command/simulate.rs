@@ -104,9 +104,9 @@ pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> 
         .collect();
     write_atomically(&arguments.files.out.join("simulation.json"), json(&list)?.as_bytes())?;
     arguments.files.write(&dressed)?;
-    println!("{}", arguments.files.out.join("simulation.json").display());
+    say!("{}", arguments.files.out.join("simulation.json").display())?;
     for (garment, simulation) in dressed.worn().iter().zip(&solved) {
-        eprintln!(
+        note!(
             "{}: {} vertices, {} steps, largest force left {:.1e} N, {} of {} frames not converged",
             garment.kind,
             garment.mesh.vertices.len(),
@@ -116,6 +116,6 @@ pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> 
             simulation.frames.len()
         );
     }
-    eprintln!("{} frames in {:.1} s.", dressed.frame_count(), started.elapsed().as_secs_f64());
+    note!("{} frames in {:.1} s.", dressed.frame_count(), started.elapsed().as_secs_f64());
     Ok(ExitCode::SUCCESS)
 }

@@ -41,12 +41,12 @@ pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> 
         random.push(stress::random_states(&*material, arguments.states, arguments.seed)?);
     }
     if arguments.json {
-        println!("{}", json(&(&atlases, &random))?);
+        say!("{}", json(&(&atlases, &random))?)?;
     } else {
-        print!("{}", stress::table(&atlases, &random));
+        tell!("{}", stress::table(&atlases, &random))?;
     }
     if let Some(folder) = &arguments.out {
-        println!("{}", stress::write(folder, &atlases, &random)?.display());
+        say!("{}", stress::write(folder, &atlases, &random)?.display())?;
     }
     let sound = atlases.iter().all(Atlas::sound) && random.iter().all(RandomStates::sound);
     Ok(if sound { ExitCode::SUCCESS } else { ExitCode::FAILURE })

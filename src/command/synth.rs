@@ -69,12 +69,12 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
     let started = std::time::Instant::now();
     let run = Run::open_with(&path, Some(arguments.out.clone()), plugins)?.only("synth")?;
     if run.all()?.ran.is_empty() {
-        println!("Nothing to do: the scans were up to date.");
+        say!("Nothing to do: the scans were up to date.")?;
     } else {
-        println!("Scanned in {:.0} s.", started.elapsed().as_secs_f64());
+        say!("Scanned in {:.0} s.", started.elapsed().as_secs_f64())?;
     }
-    println!("{}", arguments.out.join("scans").display());
-    println!("{}", arguments.out.join(TRUTH).display());
+    say!("{}", arguments.out.join("scans").display())?;
+    say!("{}", arguments.out.join(TRUTH).display())?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -39,19 +39,19 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments, plugins: &Plugins) -> Result<ExitCode> {
     let started = Instant::now();
     let sweep = Tradeoff::open(&arguments.config, arguments.out.clone(), arguments.full, plugins)?;
-    let ended = sweep.run(plugins, &|what| eprintln!("{what}"))?;
+    let ended = sweep.run(plugins, &|what| note!("{what}"))?;
     if let Some(page) = &arguments.docs {
         Tradeoff::document(&ended.results, page)?;
     }
     if arguments.json {
-        println!("{}", json(&ended.results)?);
+        say!("{}", json(&ended.results)?)?;
         return Ok(ExitCode::SUCCESS);
     }
-    print!("{}", ended.results.text());
+    tell!("{}", ended.results.text())?;
     match ended.computed {
-        0 => println!("Nothing to do: every point was measured."),
-        count => println!("Measured {count} points in {:.0} s.", started.elapsed().as_secs_f64()),
+        0 => say!("Nothing to do: every point was measured.")?,
+        count => say!("Measured {count} points in {:.0} s.", started.elapsed().as_secs_f64())?,
     }
-    println!("Report: {}", shown(&ended.folder.join("report.html")).display());
+    say!("Report: {}", shown(&ended.folder.join("report.html")).display())?;
     Ok(ExitCode::SUCCESS)
 }

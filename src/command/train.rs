@@ -65,12 +65,12 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
     let started = std::time::Instant::now();
     let summary = Run::open_with(&path, Some(arguments.out.clone()), plugins)?.only("export")?.all()?;
     if summary.ran.is_empty() {
-        println!("Nothing to do: every stage was up to date.");
+        say!("Nothing to do: every stage was up to date.")?;
     } else {
-        println!("Ran {} in {:.0} s.", summary.ran.join(", "), started.elapsed().as_secs_f64());
+        say!("Ran {} in {:.0} s.", summary.ran.join(", "), started.elapsed().as_secs_f64())?;
     }
-    println!("{}", path.display());
-    println!("{}", arguments.out.join("export").join("avatar.caphy").display());
+    say!("{}", path.display())?;
+    say!("{}", arguments.out.join("export").join("avatar.caphy").display())?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -42,12 +42,12 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
         let (scan, _, notes) = match read_scan_of(&files, &config.subject, &*body, file) {
             Ok(read) => read,
             Err(error) => {
-                eprintln!("warning: scan {}: {error}", file.name);
+                note!("warning: scan {}: {error}", file.name);
                 failed += 1;
                 continue;
             }
         };
-        notes.iter().for_each(|note| eprintln!("scan {} {note}", file.name));
+        notes.iter().for_each(|note| note!("scan {} {note}", file.name));
         let bounds = scan.mesh.bounds().filter(|_| !scan.mesh.faces.is_empty()).ok_or_else(|| {
             Error::mesh(&file.name, "surface", "there are no faces", "views need a triangulated scan")
         })?;
@@ -58,6 +58,6 @@ pub(crate) fn run(arguments: &Arguments, plugins: &mut Plugins) -> Result<ExitCo
             written += 1;
         }
     }
-    println!("{written} views in {}", arguments.out.display());
+    say!("{written} views in {}", arguments.out.display())?;
     Ok(if failed == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

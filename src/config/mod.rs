@@ -152,6 +152,9 @@ pub struct DressedConfig {
 pub struct ScansConfig {
     /// Folder with `*.ply` and `*.obj`.
     pub folder: PathBuf,
+    /// The scans of the folder that count, by name (file stems). Default: all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub only: Vec<String>,
     /// Scans that are kept for evaluation: names (file stems), or a share that `run.seed` draws, whole sequences where there are
     /// some. Default 0.2, as in the paper.
     #[serde(default)]

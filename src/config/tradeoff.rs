@@ -24,7 +24,8 @@ pub struct TradeoffConfig {
     pub rounds: usize,
     /// Trainings of the experiment's own point, each with another seed: their spread is that of every point. Default 3.
     pub seeds: usize,
-    /// Disturbed restarts of the solver per clip: their distance from the undisturbed answer is the floor. Default 1.
+    /// Restarts of the solver per clip, each begun a quarter of a second earlier than the one before and with disturbed first guesses:
+    /// their distance from the first answer is the floor. Default 1.
     pub restarts: usize,
     /// Largest force that the finest solver leaves on a vertex [N]. Default 1e-6, a thousandth of a vertex's weight.
     pub tolerance_n: f64,

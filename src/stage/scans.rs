@@ -45,7 +45,7 @@ impl ScanFrame {
 /// Scans of a user's folder.
 ///
 /// # Errors
-/// [`Error::Config`] for a folder without scans, two files of one name, a held-out scan that is not there, none to learn from.
+/// [`Error::Config`] for a folder without scans, two files of one name, a named scan that is not there, none to learn from.
 pub fn scan_list(files: &ProjectFiles, config: &ScansConfig, seed: u64) -> Result<Scans> {
     let paths = files.list(&config.folder, &SCAN_ENDINGS)?;
     let mut list = Vec::new();
@@ -66,6 +66,14 @@ pub fn scan_list(files: &ProjectFiles, config: &ScansConfig, seed: u64) -> Resul
             format!("{} holds no scan (*.ply, *.obj)", config.folder.display()),
             "give a folder with at least one scan that is not held out",
         ));
+    }
+    if !config.only.is_empty() {
+        if let Some(missing) = config.only.iter().find(|name| !list.iter().any(|s| s.name == **name)) {
+            let there: Vec<&str> = list.iter().map(|s| s.name.as_str()).collect();
+            let remedy = format!("there are: {}", there.join(", "));
+            return Err(Error::config("subject.only", format!("there is no scan `{missing}`"), remedy));
+        }
+        list.retain(|scan| config.only.contains(&scan.name));
     }
     let names: Vec<String> = list.iter().map(|s| s.name.clone()).collect();
     let held = split::held_out(&names, &config.held_out, seed)?;

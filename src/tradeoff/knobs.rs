@@ -13,6 +13,8 @@ use toml::{Table, Value};
 pub enum Acts {
     /// Labels, bodies, templates: measured by wrong labels and by the body's distance.
     Preprocess,
+    /// The same of each scan alone: measured with the fewest scans that are swept, and against the answer with these.
+    Views,
     /// The trained net.
     Net,
     /// What the net is trained to: the fabric, which a budget never chooses.
@@ -43,15 +45,15 @@ pub struct Base<'a> {
     pub config: &'a Config,
     /// Rounds that the experiment's file asks for.
     pub own_rounds: usize,
-    /// Folder and names of the scans that are learnt from, and of those held out, once they are there.
-    pub scans: Option<(PathBuf, Vec<String>, Vec<String>)>,
+    /// Folder and names of the scans that are learnt from, once they are there.
+    pub scans: Option<(PathBuf, Vec<String>)>,
 }
 
 /// All knobs.
 pub const KNOBS: &[Knob] = &[
-    Knob { name: "views", acts: Acts::Preprocess, levels: views },
-    Knob { name: "view size", acts: Acts::Preprocess, levels: view_size },
-    Knob { name: "scans", acts: Acts::Preprocess, levels: scans },
+    Knob { name: SCANS, acts: Acts::Preprocess, levels: scans },
+    Knob { name: "views", acts: Acts::Views, levels: views },
+    Knob { name: "view size", acts: Acts::Views, levels: view_size },
     Knob { name: "rounds", acts: Acts::Net, levels: rounds },
     Knob { name: "net", acts: Acts::Net, levels: net },
     Knob { name: "hidden", acts: Acts::Net, levels: hidden },
@@ -71,6 +73,18 @@ const FIXED: [&str; 6] =
 /// Whether a setting changes the subject, not only how its nets are trained.
 pub(super) fn is_of_subject(setting: &Setting) -> bool {
     setting.key().ends_with(".resolution_m")
+}
+
+impl Acts {
+    /// Whether it is measured by preprocessing, without a training.
+    pub fn preprocesses(self) -> bool {
+        matches!(self, Self::Preprocess | Self::Views)
+    }
+}
+
+/// The fewest scans that are swept; none where there are no fewer.
+pub(super) fn fewest_scans(base: &Base<'_>) -> Result<Option<Level>> {
+    Ok(scans(base)?.into_iter().next())
 }
 
 impl Knob {
@@ -149,18 +163,22 @@ fn view_size(base: &Base<'_>) -> Result<Vec<Level>> {
     }
 }
 
-/// Half and a quarter of the scans; the others are held out.
+/// Name of the knob by whose cheapest level knobs of views are measured.
+pub(super) const SCANS: &str = "scans";
+
+/// Half and a quarter of the scans that are learnt from, without the others and without those held out.
 fn scans(base: &Base<'_>) -> Result<Vec<Level>> {
-    let Some((folder, learnt, held)) = &base.scans else { return Ok(Vec::new()) };
+    let Some((folder, learnt)) = &base.scans else { return Ok(Vec::new()) };
     let mut out: Vec<Level> = Vec::new();
     for count in [learnt.len().div_ceil(4), learnt.len().div_ceil(2)] {
         let name = format!("{count} of {}", learnt.len());
         if count == learnt.len() || out.iter().any(|level| level.name == name) {
             continue;
         }
-        let held: Vec<Value> = learnt[count..].iter().chain(held).map(|name| Value::from(name.as_str())).collect();
+        let only: Vec<Value> = learnt[..count].iter().map(|name| Value::from(name.as_str())).collect();
+        let none = Value::Array(Vec::new());
         if matches!(base.config.subject, SubjectConfig::Scans(_)) {
-            out.push(level(name, vec![("subject.held_out", held.into())])?);
+            out.push(level(name, vec![("subject.only", only.into()), ("subject.held_out", none)])?);
             continue;
         }
         // The generated scans as files: no other person, and nothing to search for but bodies.
@@ -168,7 +186,8 @@ fn scans(base: &Base<'_>) -> Result<Vec<Level>> {
         let keys = [
             ("type", Value::from("scans")),
             ("folder", folder.into()),
-            ("held_out", held.into()),
+            ("only", only.into()),
+            ("held_out", none),
             ("units", "m".into()),
             ("up", "y".into()),
         ];
@@ -389,8 +408,8 @@ mod tests {
     fn every_level_is_a_configuration_and_another_one() {
         let text = include_str!("../../tests/all/tiny.toml");
         let config = tiny();
-        let names = |from: usize, to: usize| (from..to).map(|i| format!("scan-{i:02}")).collect::<Vec<_>>();
-        let base = Base { config: &config, own_rounds: 9, scans: Some(("scans".into(), names(0, 8), names(8, 9))) };
+        let names = (0..8).map(|i| format!("scan-{i:02}")).collect();
+        let base = Base { config: &config, own_rounds: 9, scans: Some(("scans".into(), names)) };
         let own = toml::to_string(&config).unwrap();
         for knob in KNOBS {
             let levels = knob.levels(&base).unwrap();

@@ -174,19 +174,36 @@ impl Tradeoff {
                 levels.push((knob, level));
             }
         }
-        let of_nets = levels.iter().filter(|(knob, _)| knob.acts != Acts::Preprocess).count();
+        let (of_subject, of_nets): (Vec<_>, Vec<_>) = levels.iter().partition(|(knob, _)| knob.acts.preprocesses());
+        let of_views = of_subject.iter().any(|(knob, _)| knob.acts == Acts::Views);
+        // What is measured with the fewest scans needs the answer that they give.
+        let few = if of_views { knobs::fewest_scans(&base)? } else { None };
+        let few_is_a_level = of_subject.iter().any(|(knob, _)| knob.name == knobs::SCANS);
         let combinations = 2 * settings.combinations;
-        teller.expect(POINT, settings.seeds + of_nets + combinations);
-        teller.expect(PREPROCESS, levels.len() - of_nets);
+        teller.expect(POINT, settings.seeds + of_nets.len() + combinations);
+        teller.expect(PREPROCESS, of_subject.len() + usize::from(few.is_some() && !few_is_a_level));
         teller.expect(SOLVER, search::SOLVERS.len());
 
         let yardstick = self.yardstick(&bench, &teller)?;
         let mut results = Results::new(self, machine, &yardstick);
-        for (knob, level) in levels.iter().filter(|(knob, _)| knob.acts == Acts::Preprocess) {
-            teller.say(&format!("{} {}", knob.name, level.name));
-            let (measured, now) = bench.preprocess(&level.set)?;
+        let mut steps: Vec<(&str, String, Vec<Setting>, Option<&Level>)> = Vec::new();
+        if let (Some(few), false) = (&few, few_is_a_level) {
+            steps.push((knobs::SCANS, few.name.clone(), few.set.clone(), None));
+        }
+        for (knob, level) in of_subject {
+            steps.push(match (&few, knob.acts) {
+                (Some(few), Acts::Views) => {
+                    let name = format!("{}, {} {}", level.name, knobs::SCANS, few.name);
+                    (knob.name, name, [&few.set[..], &level.set].concat(), Some(few))
+                }
+                _ => (knob.name, level.name.clone(), level.set.clone(), None),
+            });
+        }
+        for (knob, name, set, against) in steps {
+            teller.say(&format!("{knob} {name}"));
+            let (measured, now) = bench.preprocess(&set, against.map(|few| &few.set[..]))?;
             teller.done(PREPROCESS, now);
-            results.preprocess.push(PreprocessRow::new(knob.name, &level.name, measured));
+            results.preprocess.push(PreprocessRow::new(knob, &name, measured));
         }
         if base.scans.is_some() {
             results.preprocess.insert(0, PreprocessRow::new("", "as configured", preprocessed));
@@ -199,7 +216,7 @@ impl Tradeoff {
             results.add(row.0);
             results.write(&self.folder)?;
         }
-        for (knob, level) in levels.iter().filter(|(knob, _)| knob.acts != Acts::Preprocess) {
+        for (knob, level) in of_nets {
             teller.say(&format!("{} {}", knob.name, level.name));
             let row = bench.row(knob.name, &level.name, knob.acts, &level.set, 0, &yardstick)?;
             teller.done(POINT, row.1);
@@ -261,8 +278,8 @@ impl Tradeoff {
         Run::open_set(&self.path, Some(self.folder.join(name)), &all, &mut anew(plugins)?)
     }
 
-    /// Folder and names of the scans, once they are there.
-    fn scans(&self) -> Result<Option<(PathBuf, Vec<String>, Vec<String>)>> {
+    /// Folder of the scans and names of those that are learnt from, once they are there.
+    fn scans(&self) -> Result<Option<(PathBuf, Vec<String>)>> {
         let subject = self.folder.join("subject");
         let (folder, list) = match &self.config.subject {
             SubjectConfig::Dressed(_) => return Ok(None),
@@ -277,8 +294,8 @@ impl Tradeoff {
             }
         };
         let folder = std::path::absolute(&folder).map_err(|e| Error::io(&folder, "find", e))?;
-        let names = |held: bool| list.iter().filter(|s| s.held_out == held).map(|s| s.name.clone()).collect();
-        Ok(Some((folder, names(false), names(true))))
+        let names = list.iter().filter(|s| !s.held_out).map(|s| s.name.clone()).collect();
+        Ok(Some((folder, names)))
     }
 
     fn yardstick(&self, bench: &point::Bench<'_>, teller: &Teller<'_>) -> Result<Yardstick> {

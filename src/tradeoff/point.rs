@@ -120,11 +120,13 @@ impl Bench<'_> {
         self.read_subject(&self.subject_folder(set)?)
     }
 
-    /// Preprocessing with other settings, timed as a whole, and whether it was done now.
-    pub(super) fn preprocess(&self, set: &[Setting]) -> Result<(Preprocessed, bool)> {
-        let name = self.name("preprocess", &self.config(set)?)?;
+    /// Preprocessing with other settings, timed as a whole, and whether it was done now; compared with what it gave with the
+    /// settings `against`, the experiment's own where there are none.
+    pub(super) fn preprocess(&self, set: &[Setting], against: Option<&[Setting]>) -> Result<(Preprocessed, bool)> {
+        let folder = |set: &[Setting]| self.name("preprocess", &self.config(set)?);
+        let (name, other) = (folder(set)?, against.map_or(Ok("subject".into()), folder)?);
         begin(&self.folder("subject"), &self.folder(&name))?;
-        self.timed_preprocess(&name, set, Some("subject"))
+        self.timed_preprocess(&name, set, Some(&other))
     }
 
     /// Preprocesses in a folder, unless that was measured; what a measurement that was interrupted left is thrown away, so that

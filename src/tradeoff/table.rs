@@ -335,7 +335,7 @@ impl Results {
                 }
             ),
             format!(
-                "Errors are distances between surfaces from the solver on {} vertices, over the floor: disturbed restarts of the solver lie {floor} mm from it ({other} mm on the other motion). In {open} of {all} of its frames forces did not come below the tolerance.",
+                "Errors are distances between surfaces from the solver on {} vertices, over the floor: restarts of the solver, begun earlier and disturbed, lie {floor} mm from it ({other} mm on the other motion). In {open} of {all} of its frames forces did not come below the tolerance.",
                 self.yardstick_vertices
             ),
             format!(

@@ -220,3 +220,22 @@ fn a_log_that_cannot_be_written_ends_no_run() {
     assert!(command.stderr(log).status().expect("the program ends").success());
     assert_same_results(&experiment.out());
 }
+
+/// What the program writes to a full device and to a reader that has gone: an error, and nothing worth a word.
+#[test]
+fn output_that_cannot_be_written_is_an_error_and_no_panic() {
+    let started = |out: Stdio| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_caphy"));
+        command.args(["show", "fabrics"]).stdin(Stdio::null()).stdout(out).output().expect("caphy starts")
+    };
+    if let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") {
+        let output = started(full.into());
+        let said = text(&output.stderr);
+        assert!(output.status.code() == Some(1), "{:?} {said}", output.status);
+        assert!(said.contains("standard output") && !said.contains("panicked"), "{said}");
+    }
+    let (reader, writer) = std::io::pipe().expect("a pipe");
+    drop(reader);
+    let output = started(writer.into());
+    assert!(output.status.success(), "{:?} {}", output.status, text(&output.stderr));
+}

@@ -6,7 +6,7 @@
 //! On Linux, what is measured is the time that the one thread is on a processor, so that other work on the machine counts as
 //! little as possible; elsewhere wall time.
 
-#[path = "../tests/smplx/generated.rs"]
+#[path = "../tests/all/smplx/generated.rs"]
 #[allow(dead_code)]
 mod generated;
 

@@ -8,7 +8,7 @@
 //! surface; `contact SEEDS [FABRIC…]` with one pose on a sphere; `far [FABRIC…]` starts at 4 times, a quarter and another
 //! fabric's seven numbers; `files DIR [FABRIC]` writes the poses as scans with a file for `caphy estimate`.
 
-#[path = "../tests/estimate/study.rs"]
+#[path = "../tests/all/estimate/study.rs"]
 mod study;
 
 use caphy_core::material::MaterialModel;

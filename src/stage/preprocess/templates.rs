@@ -7,9 +7,9 @@ use super::{Subject, SubjectScan};
 use crate::config::GarmentConfig;
 use crate::garment::FittedGarment;
 use crate::physics::solver_forces;
-use crate::pictures;
 use crate::scene::{Scene, label_of, outer, thin};
 use crate::simulate::{SimulationOptions, Steps, Under, simulate};
+use crate::stage::preprocess::standard::distance_to_standard;
 use crate::stage::scans::read_framed;
 use crate::stage::{Context, Scans, material};
 use caphy_core::body::{BodyModel, PosedBody};
@@ -86,7 +86,7 @@ impl<'a> Choosing<'a> {
         let standard = subject
             .training_scans()
             .min_by(|a, b| {
-                let distance = |s: &SubjectScan| pictures::distance_to_standard(&s.pose, joints);
+                let distance = |s: &SubjectScan| distance_to_standard(&s.pose, joints);
                 distance(a).total_cmp(&distance(b))
             })
             .ok_or_else(|| Error::config("subject", "no training scan", "hold out fewer scans"))?;

@@ -16,7 +16,7 @@ const AT_A_RIGHT_ANGLE: f64 = 4.0 * (std::f64::consts::SQRT_2 - 1.0);
 
 /// Share of the missing part that is given back. With 1 the outside of a bend keeps its distance from the joint; what
 /// the inside loses or gains by folding differs from limb to limb, and these shares leave the volume of the body after a
-/// turn by 90° within 3 % of what bends (`tests/mannequin.rs`).
+/// turn by 90° within 3 % of what bends (`tests/all/mannequin.rs`).
 fn share(joint: &str) -> f64 {
     match joint.trim_start_matches("left_").trim_start_matches("right_") {
         "elbow" => 1.35,

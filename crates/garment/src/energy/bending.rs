@@ -54,7 +54,7 @@ struct Element<T> {
 ///
 /// Eq. 7's k is no plate rigidity, which a cylinder of curvature κ would show as ½ k κ² per area: the energy is 0.25 of that
 /// along the sides of square cells and on equilateral triangles, 0.375 across cells with diagonals in turn, 0.25 or 0.75
-/// across cells whose diagonals are all alike (`tests/material_patch.rs`). Template meshes are near equilateral.
+/// across cells whose diagonals are all alike (`tests/all/material_patch.rs`). Template meshes are near equilateral.
 pub struct Bending<T> {
     hinges: Vec<Element<T>>,
     /// Hinges that are not padding.

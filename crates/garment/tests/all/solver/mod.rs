@@ -5,9 +5,9 @@ mod contact;
 mod extremes;
 mod sensitivities;
 mod single;
-#[path = "../support/mod.rs"]
-mod support;
 mod tangents;
+
+use crate::support;
 
 use caphy_core::lanes::Frames;
 use caphy_core::units::KilogramPerSquareMetre;

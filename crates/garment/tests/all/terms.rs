@@ -1,6 +1,6 @@
 //! Every energy term: gradient against finite differences in f64, invariances, extremes, precision, threads.
 
-mod support;
+use crate::support;
 
 use caphy_core::lanes::Frames;
 use caphy_core::material::{HingeLength, MaterialModel, MaterialReal};

@@ -3,7 +3,7 @@
 //! Gates of reference/snug_losses_tube.md: energies 1e-9 in f64 and 1e-6 in f32; gradients are stored in single precision, so
 //! 1e-7 (f64) and 1e-5 (f32) in relative norm.
 
-mod support;
+use crate::support;
 
 use caphy_core::lanes::Frames;
 use caphy_core::material::{MaterialModel, MaterialReal};

@@ -1,6 +1,5 @@
 //! Registration of a body to labelled scans: known truth with a synthetic figure.
 
-#[path = "registration/figure.rs"]
 mod figure;
 
 use caphy_bodymodel::registration::{RegistrationScan, RegistrationSettings, register};

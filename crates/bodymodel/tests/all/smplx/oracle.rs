@@ -1,6 +1,6 @@
 //! Posing as the equations say, dense and slow: what the layouts of files are checked against.
 
-use crate::generated::{ModelFile, Npy};
+use crate::smplx::generated::{ModelFile, Npy};
 use caphy_core::Vec3;
 use caphy_core::body::BodyParameters;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3};

@@ -1,7 +1,7 @@
 //! Files of the family load whatever their widths and counts; damaged ones are refused by array and element.
 
-use crate::generated::{Layout, ModelFile, Npy, frames};
-use crate::oracle;
+use crate::smplx::generated::{Layout, ModelFile, Npy, frames};
+use crate::smplx::oracle;
 use caphy_bodymodel::smplx::{BodySmplx, PICKED_VERTICES, SmplxOptions, load};
 use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_core::lanes::Frames;

@@ -207,6 +207,20 @@ fn values_that_are_not_finite_are_named_with_vertex_step_and_window() {
 }
 
 #[test]
+fn time_steps_that_are_none_are_refused_everywhere() {
+    let rest = cloth();
+    let start = rest.template.vertices.clone();
+    for step in [0.0, -0.1, f64::NAN, f64::INFINITY] {
+        let named = |error: Error| assert!(error.to_string().contains("time step"), "{step}: {error}");
+        for rule in [InertiaRule::KnownVelocity, InertiaRule::Faithful] {
+            named(Inertia::<f32>::new(&rest, step, rule).err().expect("an error"));
+            named(Inertia::<f64>::new(&rest, step, rule).err().expect("an error"));
+        }
+        named(Dynamics::new(start.clone(), None, step).expect_err("an error"));
+    }
+}
+
+#[test]
 fn garments_and_meshes_that_are_none_are_named() {
     let rest = cloth();
     let none = TriMesh { vertices: Vec::new(), faces: Vec::new() };

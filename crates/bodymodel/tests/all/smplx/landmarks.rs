@@ -1,6 +1,6 @@
 //! Derivatives through what lies behind the vertices (landmarks) and before the rotations (hands).
 
-use crate::generated::{Layout, frames};
+use crate::smplx::generated::{Layout, frames};
 use caphy_bodymodel::smplx::{BodySmplx, HandMean, HandPose, SmplxOptions, load};
 use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_core::{Error, Vec3};
@@ -74,8 +74,8 @@ fn the_contour_slides_as_the_head_turns() {
     assert_eq!(side[..52], rest[..52]);
     // 0.3 rad are 17.2°: the contour's row 17.
     let file = Layout { columns: 20, ..Layout::smplx(300) }.file();
-    let ids = crate::oracle::values(&file.arrays["dynamic_lmk_faces_idx"]);
-    let faces = crate::oracle::values(&file.arrays["f"]);
+    let ids = crate::smplx::oracle::values(&file.arrays["dynamic_lmk_faces_idx"]);
+    let faces = crate::smplx::oracle::values(&file.arrays["f"]);
     for (i, point) in side[52..].iter().enumerate() {
         let face = ids[17 * 17 + i] as usize;
         assert_eq!(point.vertices, [0, 1, 2].map(|k| faces[3 * face + k] as u32), "contour point {i}");
