@@ -11,6 +11,7 @@ use crate::config::{Choice, Config, PluginConfig, Setting, SubjectConfig};
 use crate::files::ProjectFiles;
 use crate::forecast;
 use crate::manifest::{CONFIG, Manifest, Program, StageRecord};
+use crate::physics::solver_forces;
 use crate::plan::ScenePlan;
 use crate::plugins::Plugins;
 use crate::progress::{self, Progress};
@@ -264,12 +265,14 @@ impl Run {
             paths.iter().map(|path| path.split('.').fold(&c, |value, name| &value[name]).clone()).collect()
         };
         self.config.check_files(&self.files)?;
-        // A garment's own tables, without its fabric: another one must not cost another registration.
+        // A garment's own tables, without its fabric.
         let templates = ["styles", "resolution_m", "template", "weights", "style", "mass_g"]
             .iter()
             .flat_map(|key| [format!("upper.{key}"), format!("lower.{key}")])
             .collect::<Vec<_>>();
         let templates: Vec<&str> = templates.iter().map(String::as_str).collect();
+
+        let worn = self.worn();
 
         let mut scans = Scans { list: Vec::new(), truth: None };
         let (subject, subject_hash) = match &self.config.subject {
@@ -295,7 +298,8 @@ impl Run {
                 if !self.plan.has("preprocess") {
                     return Ok(String::new());
                 }
-                self.preprocess(&part(&[&PREPROCESSING, &templates[..]].concat()), &scans)?
+                let key = part(&[&PREPROCESSING, &templates[..]].concat());
+                self.preprocess(&[key, worn].concat(), &scans)?
             }
             SubjectConfig::Scans(folder) => {
                 scans = stage::scans::scan_list(&self.files, folder, self.config.run.seed)?;
@@ -306,7 +310,8 @@ impl Run {
                 }
                 // The folder's name and roles of scans are in the hash of the scans.
                 let frame = ["subject.units", "subject.up", "subject.starts"];
-                self.preprocess(&part(&[&PREPROCESSING[..], &frame, &templates].concat()), &scans)?
+                let key = part(&[&PREPROCESSING[..], &frame, &templates].concat());
+                self.preprocess(&[key, worn].concat(), &scans)?
             }
         };
         if dry {
@@ -410,6 +415,18 @@ impl Run {
             format!("{subject_hash}{hash}{scores_hash}{compared_hash}{film_hash}{export_hash}{scan_hash}{chosen}");
         self.stage("report", &part(&["run", "upper", "lower"]), &upstream, |cx| stage::report::run(cx, &inputs))?;
         Ok(tables)
+    }
+
+    /// What choosing a template depends on besides its garment's own tables: who covers whom; and where styles are worn, in which fabric and
+    /// by which forces.
+    fn worn(&self) -> Vec<serde_json::Value> {
+        let order = format!("{:?}", self.config.finetune.layering.order);
+        let forces = format!("{:?}", solver_forces(&self.config.train));
+        let of_garments = self.config.garments().map(|(_, _, garment)| match garment.worn {
+            0 => "by skinning".to_string(),
+            worn => format!("{worn} in {} by {forces}", garment.worn_in().text()),
+        });
+        std::iter::once(order).chain(of_garments).map(serde_json::Value::from).collect()
     }
 
     fn preprocess(&mut self, key: &[serde_json::Value], scans: &Scans) -> std::result::Result<(Subject, String), Halt> {

@@ -261,6 +261,9 @@ pub struct GarmentConfig {
     /// as it is worn. Default 6. 0 compares and refines by skinning alone: seconds faster, lengths off by centimetres.
     #[serde(default = "six")]
     pub worn: usize,
+    /// The fabric that they are worn in. Default: `material`, whose change then costs the fit of bodies and templates again.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub worn_in: Option<PluginTable>,
     /// Edge length of the template [m]. Default 0.025: about 1000 vertices.
     #[serde(default = "template_resolution")]
     pub resolution_m: f64,
@@ -628,6 +631,13 @@ fn two_millimetres() -> f64 {
     2e-3
 }
 
+impl GarmentConfig {
+    /// The fabric that styles are worn in while a template is chosen.
+    pub fn worn_in(&self) -> &PluginTable {
+        self.worn_in.as_ref().unwrap_or(&self.material)
+    }
+}
+
 impl Config {
     /// Parses and checks a configuration with the linked plugins and the libraries that it names; `path` is for messages
     /// and for where relative libraries are.
@@ -728,12 +738,13 @@ impl Config {
         all.extend(self.segmenter.as_mut().map(|table| (Kind::Segmenter, "segmenter", table)));
         all.push((Kind::Net, "net", &mut self.net));
         for (keys, garment) in [
-            (["upper.material", "upper.template"], &mut self.upper),
-            (["lower.material", "lower.template"], &mut self.lower),
+            (["upper.material", "upper.template", "upper.worn_in"], &mut self.upper),
+            (["lower.material", "lower.template", "lower.worn_in"], &mut self.lower),
         ] {
             let Some(garment) = garment else { continue };
             all.push((Kind::Material, keys[0], &mut garment.material));
             all.push((Kind::Template, keys[1], &mut garment.template));
+            all.extend(garment.worn_in.as_mut().map(|table| (Kind::Material, keys[2], table)));
         }
         if let SubjectConfig::Synthetic(s) = &mut self.subject {
             all.push((Kind::Material, "subject.upper_material", &mut s.upper_material));
@@ -745,8 +756,12 @@ impl Config {
     /// All materials with their keys.
     fn materials(&self) -> Vec<(&'static str, &PluginTable)> {
         let mut all = Vec::new();
-        for (key, garment) in [("upper.material", &self.upper), ("lower.material", &self.lower)] {
-            all.extend(garment.as_ref().map(|g| (key, &g.material)));
+        for (keys, garment) in
+            [(["upper.material", "upper.worn_in"], &self.upper), (["lower.material", "lower.worn_in"], &self.lower)]
+        {
+            let Some(garment) = garment else { continue };
+            all.push((keys[0], &garment.material));
+            all.extend(garment.worn_in.as_ref().map(|table| (keys[1], table)));
         }
         if let SubjectConfig::Synthetic(s) = &self.subject {
             all.push(("subject.upper_material", &s.upper_material));

@@ -124,6 +124,12 @@ impl Tradeoff {
         for key in ["train.preview_every", "train.measure_every"] {
             common.push(Setting::new(key, 0.into())?);
         }
+        // All points share templates: the knob of the fabric changes what is trained, not what was cut.
+        if !matches!(written.subject, SubjectConfig::Dressed(_)) {
+            for (_, key, garment) in written.garments() {
+                common.push(Setting::new(&format!("{key}.worn_in"), garment.worn_in().table().clone().into())?);
+            }
+        }
         let files = ProjectFiles::new(path.parent().unwrap_or(Path::new(".")));
         let folder = match out {
             Some(out) => out,

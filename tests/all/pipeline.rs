@@ -245,7 +245,7 @@ fn what_was_fitted_is_near_the_truth() {
 #[test]
 fn templates_are_worn_before_they_are_chosen() {
     let fabric = "fabric = \"navy-sparkle-sweat\" }\nstyles = 6\nworn = ";
-    let experiment = Experiment::new(&edited(TINY, &[(&format!("{fabric}0"), &format!("{fabric}2"))]));
+    let experiment = Experiment::copy_of(finished(), &edited(TINY, &[(&format!("{fabric}0"), &format!("{fabric}2"))]));
     let run = Run::open(&experiment.config(), Some(experiment.out())).unwrap_or_else(|e| panic!("{e}"));
     run.only("preprocess").and_then(|run| run.all()).unwrap_or_else(|e| panic!("{e}"));
     let [bare, worn] = [finished(), &experiment.out()].map(|out| value::<Subject>(out, "preprocess"));

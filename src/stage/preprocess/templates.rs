@@ -115,7 +115,7 @@ impl<'a> Choosing<'a> {
         let mut found = Vec::new();
         for (k, (kind, key, settings)) in wanted.into_iter().enumerate() {
             self.context.progress.set(0.8 + 0.07 * k as f64, &format!("{kind} template"));
-            let fabric: Arc<dyn MaterialModel> = Arc::from(material(&settings.material, key, None)?);
+            let fabric: Arc<dyn MaterialModel> = Arc::from(material(settings.worn_in(), key, None)?);
             let (template, choice, worn) = self.choose(kind, settings, &fabric, inner.as_ref())?;
             inner = Some(worn);
             found.push((self.fitted(template, settings)?, choice));
