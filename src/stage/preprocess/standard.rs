@@ -35,7 +35,7 @@ mod tests {
 
     #[test]
     fn lowered_arms_are_standard_raised_or_stretched_ones_are_not() {
-        let body = BodyMannequin { resolution: 0.05 }.generate().unwrap();
+        let body = BodyMannequin { resolution: 0.03 }.generate().unwrap();
         let joints = &body.describe().joints;
         let of = |turned: &[(&str, Vec3)]| {
             let mut pose = Pose::rest(joints.len());
