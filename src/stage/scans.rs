@@ -288,3 +288,30 @@ pub fn inspect(files: &ProjectFiles, config: &ScansConfig, segmenter: &str, scan
     };
     scans.list.iter().map(described).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_named_scans_count() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a", "b", "c"] {
+            std::fs::write(folder.path().join(format!("{name}.ply")), name).unwrap();
+        }
+        let list = |keys: &str| {
+            let config: ScansConfig = toml::from_str(&format!("folder = {:?}\n{keys}", folder.path())).unwrap();
+            scan_list(&ProjectFiles::new(folder.path()), &config, 1)
+        };
+        let names = |keys: &str| -> Vec<(String, bool)> {
+            list(keys).unwrap().list.into_iter().map(|s| (s.name, s.held_out)).collect()
+        };
+        assert_eq!(names("held_out = []").len(), 3);
+        let two = [("a".to_string(), false), ("c".to_string(), true)];
+        assert_eq!(names("only = [\"c\", \"a\"]\nheld_out = [\"c\"]"), two);
+        for (keys, word) in [("only = [\"d\"]", "subject.only"), ("only = [\"a\"]\nheld_out = [\"b\"]", "held_out")] {
+            let said = list(keys).unwrap_err().to_string();
+            assert!(said.contains(word) && said.contains("there are: a"), "{said}");
+        }
+    }
+}

@@ -26,8 +26,8 @@ pub enum LayeringOrder {
 pub struct LayeringOptions {
     /// Which garment is outside.
     pub order: LayeringOrder,
-    /// Margin δ between the layers [m]. Default 4 mm, which nets are off by where they move: with 2 mm, two thicknesses of cloth, they leave
-    /// three times as many vertices inside.
+    /// Margin δ between the layers [m]. Default 4 mm, as between training and body: nets miss it by a millimetre or two. With 2 mm, two
+    /// thicknesses of cloth, three times as many vertices of the quickstart stay inside.
     pub margin: f64,
     /// Upper vertices farther than this from the lower garment do not take part [m]. Default 30 mm: deeper penetrations
     /// would be indistinguishable from the far side of a leg.

@@ -1,6 +1,6 @@
 //! Faulty bodies around a correct one: a stick of two joints and eight vertices.
 
-use crate::conformance_rejects::table::{TABLE, read, write};
+use super::table::{TABLE, read, write};
 use caphy_core::body::{
     BlendWeights, BodyDescription, BodyGradient, BodyModel, BodyParameters, Joint, PosedBody, PosedSkeleton,
     SurfacePoint,
@@ -277,14 +277,14 @@ fn faults() -> Vec<(Fault, Vec<&'static str>)> {
 
 #[test]
 fn a_correct_body_passes() {
-    crate::conformance_rejects::assert_accepted(CHECKS, &subject(Fault::None), &[]);
+    super::assert_accepted(CHECKS, &subject(Fault::None), &[]);
 }
 
 #[test]
 fn each_fault_is_rejected_by_its_check() {
     for (fault, expected) in faults() {
-        crate::conformance_rejects::assert_rejected(CHECKS, &format!("{fault:?}"), &subject(fault), &expected);
+        super::assert_rejected(CHECKS, &format!("{fault:?}"), &subject(fault), &expected);
     }
     let sets: Vec<Vec<&str>> = faults().into_iter().map(|f| f.1).collect();
-    crate::conformance_rejects::assert_covered(CHECKS, &sets);
+    super::assert_covered(CHECKS, &sets);
 }

@@ -279,21 +279,21 @@ fn faults() -> Vec<(Fault, Vec<&'static str>)> {
 
 #[test]
 fn correct_materials_pass() {
-    crate::conformance_rejects::assert_accepted(CHECKS, &subject(Fault::None), &[]);
+    super::assert_accepted(CHECKS, &subject(Fault::None), &[]);
     let optional = [
         "tangent_is_the_derivative",
         "held_tangent_is_symmetric",
         "parameter_derivatives_are_exact",
         "hinge_slopes_are_exact",
     ];
-    crate::conformance_rejects::assert_accepted(CHECKS, &subject(Fault::NothingOptional), &optional);
+    super::assert_accepted(CHECKS, &subject(Fault::NothingOptional), &optional);
 }
 
 #[test]
 fn each_fault_is_rejected_by_its_check() {
     for (fault, expected) in faults() {
-        crate::conformance_rejects::assert_rejected(CHECKS, &format!("{fault:?}"), &subject(fault), &expected);
+        super::assert_rejected(CHECKS, &format!("{fault:?}"), &subject(fault), &expected);
     }
     let sets: Vec<Vec<&str>> = faults().into_iter().map(|f| f.1).collect();
-    crate::conformance_rejects::assert_covered(CHECKS, &sets);
+    super::assert_covered(CHECKS, &sets);
 }

@@ -1,6 +1,6 @@
 //! Faulty nets around a correct one: a linear recurrence, s ← a s + W f, out = V s + c.
 
-use crate::conformance_rejects::table::{TABLE, read, write};
+use super::table::{TABLE, read, write};
 use caphy_core::conformance::net::{CHECKS, NetSubject};
 use caphy_core::net::{BackwardBlock, BackwardCall, DeformationNet, ForwardBlock, ForwardCall, NetManifest, NetOffers};
 use caphy_core::{Error, Real, Result};
@@ -254,16 +254,16 @@ fn faults() -> Vec<(Fault, Vec<&'static str>)> {
 
 #[test]
 fn correct_nets_pass() {
-    crate::conformance_rejects::assert_accepted(CHECKS, &subject(Fault::None), &[]);
+    super::assert_accepted(CHECKS, &subject(Fault::None), &[]);
     let optional = ["backward_is_the_gradient", "single_agrees_with_double"];
-    crate::conformance_rejects::assert_accepted(CHECKS, &subject(Fault::NothingOptional), &optional);
+    super::assert_accepted(CHECKS, &subject(Fault::NothingOptional), &optional);
 }
 
 #[test]
 fn each_fault_is_rejected_by_its_check() {
     for (fault, expected) in faults() {
-        crate::conformance_rejects::assert_rejected(CHECKS, &format!("{fault:?}"), &subject(fault), &expected);
+        super::assert_rejected(CHECKS, &format!("{fault:?}"), &subject(fault), &expected);
     }
     let sets: Vec<Vec<&str>> = faults().into_iter().map(|f| f.1).collect();
-    crate::conformance_rejects::assert_covered(CHECKS, &sets);
+    super::assert_covered(CHECKS, &sets);
 }

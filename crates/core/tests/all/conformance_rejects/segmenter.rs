@@ -1,6 +1,6 @@
 //! Faulty segmenters around a correct one: labels stored on the scan's vertices.
 
-use crate::conformance_rejects::table::{TABLE, read, write};
+use super::table::{TABLE, read, write};
 use caphy_core::conformance::segmenter::{CHECKS, SegmenterSubject};
 use caphy_core::scan::Label;
 use caphy_core::segmenter::{NO_TRIANGLE, Segmenter, View};
@@ -78,14 +78,14 @@ fn faults() -> Vec<(Fault, Vec<&'static str>)> {
 
 #[test]
 fn a_correct_segmenter_passes() {
-    crate::conformance_rejects::assert_accepted(CHECKS, &subject(Fault::None), &[]);
+    super::assert_accepted(CHECKS, &subject(Fault::None), &[]);
 }
 
 #[test]
 fn each_fault_is_rejected_by_its_check() {
     for (fault, expected) in faults() {
-        crate::conformance_rejects::assert_rejected(CHECKS, &format!("{fault:?}"), &subject(fault), &expected);
+        super::assert_rejected(CHECKS, &format!("{fault:?}"), &subject(fault), &expected);
     }
     let sets: Vec<Vec<&str>> = faults().into_iter().map(|f| f.1).collect();
-    crate::conformance_rejects::assert_covered(CHECKS, &sets);
+    super::assert_covered(CHECKS, &sets);
 }
