@@ -3,15 +3,15 @@
 use crate::garment::FittedGarment;
 use crate::moving::{MovingFigure, MovingGarment};
 use crate::scene::REACH;
-use crate::simulate::{Simulation, SimulationOptions, Under, simulate};
+use crate::simulate::{Simulation, SimulationOptions, simulate_layers};
 use crate::track::{BodyTrack, Reach};
 use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_core::material::MaterialModel;
 use caphy_core::motion::MotionClip;
-use caphy_core::{Error, Result, TriMesh, Vec3};
+use caphy_core::{Result, TriMesh, Vec3};
 use caphy_garment::energy::LayeringOrder;
 use caphy_garment::skinning::WeightOptions;
-use caphy_garment::template::{GarmentKind, Template};
+use caphy_garment::template::Template;
 use nalgebra::Matrix3x4;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -54,11 +54,10 @@ impl<'a> Dressed<'a> {
         let transforms = frames.into_iter().collect::<Result<Vec<_>>>()?;
         Ok(Self { body, subject, rest, garments, shapes: Vec::new(), clip, transforms })
     }
-    /// Simulates every garment in the order of `materials`, the inner ones first: lower before upper garments when `order` is
-    /// over, the other way round when tucked. Frames show the answers from then on; returns how they were solved.
+    /// Simulates every garment. Frames show the answers from then on; returns how they were solved.
     ///
     /// # Errors
-    /// As [`simulate`]; [`Error::Length`] for another number of materials than garments.
+    /// As [`simulate_layers`].
     pub fn simulate(
         &mut self,
         materials: &[Arc<dyn MaterialModel>],
@@ -66,30 +65,11 @@ impl<'a> Dressed<'a> {
         options: &SimulationOptions,
         progress: &dyn Fn(f64, &str),
     ) -> Result<Vec<Simulation>> {
-        Error::check_length("materials, one per garment", self.garments.len(), materials.len())?;
         let templates: Vec<&[Vec3]> = self.garments.iter().map(|g| &g.mesh.vertices[..]).collect();
         let reach = Reach::new(&self.rest, &templates, REACH)?;
         let track = BodyTrack::new(self.body, &self.subject, &reach, &self.clip.poses)?;
-        let innermost = match order {
-            LayeringOrder::Over => GarmentKind::Lower,
-            LayeringOrder::Tucked => GarmentKind::Upper,
-        };
-        let mut inside_out: Vec<usize> = (0..self.garments.len()).collect();
-        inside_out.sort_by_key(|&g| self.garments[g].kind != innermost);
-        let mut done: Vec<(usize, Simulation)> = Vec::new();
-        for (k, &g) in inside_out.iter().enumerate() {
-            let garment = &self.garments[g];
-            let contact = reach.contact(&self.rest, garment)?;
-            let under = done.last().map(|(inner, simulation)| Under {
-                faces: &self.garments[*inner].mesh.faces,
-                frames: &simulation.frames,
-            });
-            let count = inside_out.len() as f64;
-            let say = |s: f64, text: &str| progress((k as f64 + s) / count, &format!("{}: {text}", garment.kind));
-            done.push((g, simulate(garment, materials[g].clone(), &track, &contact, under, options, &say)?));
-        }
-        done.sort_by_key(|d| d.0);
-        let done: Vec<Simulation> = done.into_iter().map(|d| d.1).collect();
+        let contact = |garment: &FittedGarment| reach.contact(&self.rest, garment);
+        let done = simulate_layers(&self.garments, materials, order, &track, &contact, options, progress)?;
         self.shapes = done.iter().map(|s| s.frames.clone()).collect();
         Ok(done)
     }

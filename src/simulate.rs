@@ -2,12 +2,13 @@
 
 use crate::garment::FittedGarment;
 use crate::random::normal;
+use crate::scene::outer;
 use crate::track::BodyTrack;
 use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialModel;
 use caphy_core::{Error, Real, Result, Vec3};
 use caphy_garment::contact::ContactMap;
-use caphy_garment::energy::frame_normals;
+use caphy_garment::energy::{LayeringOrder, frame_normals};
 use caphy_garment::solver::{
     Dynamics, Forces, Obstacle, Outcome, Scene, Solution, SolveReport, Solver, SolverSettings,
 };
@@ -168,6 +169,39 @@ pub fn simulate(
         before = Some(body);
     }
     Ok(out)
+}
+
+/// Solves for garments over each other, the inner ones first: lower before upper garments when `order` is over, the other way round
+/// when tucked. In the garments' order; `materials` has one for each, `contact` finds what each may touch of the body.
+///
+/// # Errors
+/// As [`simulate`]; [`Error::Length`] for another number of materials than garments.
+pub fn simulate_layers(
+    garments: &[FittedGarment],
+    materials: &[Arc<dyn MaterialModel>],
+    order: LayeringOrder,
+    track: &BodyTrack,
+    contact: &dyn Fn(&FittedGarment) -> Result<ContactMap>,
+    options: &SimulationOptions,
+    progress: &dyn Fn(f64, &str),
+) -> Result<Vec<Simulation>> {
+    Error::check_length("materials, one per garment", garments.len(), materials.len())?;
+    let outer = outer(order);
+    let mut inside_out: Vec<usize> = (0..garments.len()).collect();
+    inside_out.sort_by_key(|&g| garments[g].kind == outer);
+    let mut done: Vec<(usize, Simulation)> = Vec::new();
+    for (k, &g) in inside_out.iter().enumerate() {
+        let garment = &garments[g];
+        let map = contact(garment)?;
+        let under = done
+            .last()
+            .map(|(inner, simulation)| Under { faces: &garments[*inner].mesh.faces, frames: &simulation.frames });
+        let count = inside_out.len() as f64;
+        let say = |s: f64, text: &str| progress((k as f64 + s) / count, &format!("{}: {text}", garment.kind));
+        done.push((g, simulate(garment, materials[g].clone(), track, &map, under, options, &say)?));
+    }
+    done.sort_by_key(|d| d.0);
+    Ok(done.into_iter().map(|d| d.1).collect())
 }
 
 /// Positions and normals of everything that the garment may touch in one frame.

@@ -40,7 +40,11 @@ fn main() -> Outcome<()> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let threaded = [1, threads].map(|threads| child(&Case { vertices: MIDDLE, threads, ..Case::default() }));
     let [alone, together] = threaded;
-    let text = report(&page, largest, &sizes, &others, &[alone?, together?])?;
+    let mut scanned = Vec::new();
+    for scans in [1, 4, 16, 64, 256] {
+        scanned.push(child(&Case { vertices: MIDDLE, scans, ..Case::default() })?);
+    }
+    let text = report(&page, largest, &sizes, &others, &scanned, &[alone?, together?])?;
     write_atomically(&page, text.as_bytes())?;
     println!("{}", page.display());
     Ok(())
@@ -81,6 +85,7 @@ fn report(
     largest: usize,
     sizes: &[Measured],
     others: &[Measured],
+    scans: &[Measured],
     threads: &[Measured],
 ) -> Outcome<String> {
     let stem = page.file_stem().ok_or("name a file")?.to_string_lossy().into_owned();
@@ -140,6 +145,11 @@ fn report(
     let case = |m: &Measured| {
         vec![m.case.windows.to_string(), m.case.window.to_string(), number(m.step_ms), readable(m.peak_bytes)]
     };
+    let by_scan = |m: &Measured| {
+        let steps = m.case.scans.div_ceil(m.case.windows);
+        let epoch = steps as f64 * m.step_ms;
+        vec![m.case.scans.to_string(), number(m.setup_s), number(m.step_ms), number(epoch), readable(m.peak_bytes)]
+    };
     let by_thread = |m: &Measured| vec![m.case.threads.to_string(), number(m.step_ms)];
     let load: Vec<String> = sizes.iter().map(|m| format!("{:.1}", m.load)).collect();
     Ok(format!(
@@ -153,6 +163,7 @@ fn report(
          The net's head has 256 weights for each of its outputs, three per vertex, and Adam holds each four times: 12 kB per vertex, most \
          of the memory and of the time of large garments. What does not fit is said by `caphy run CONFIG.toml --plan`.\n\n\
          ## Windows and frames\n\nAt {} vertices. Frames are lanes: up to 16 windows cost hardly more than one.\n{}\n\
+         ## Scans\n\nPoses of so many scans, each with three points for each garment vertex, at most {} in a step.\n{}\n\
          ## Threads\n{}",
         one::STEPS,
         load.join(", "),
@@ -162,6 +173,11 @@ fn report(
         table(&head, &rows),
         others.first().map_or(0, |m| m.vertices),
         table(&["windows", "frames each", "step, ms", "peak memory"], &others.iter().map(case).collect::<Vec<_>>()),
+        scans.first().map_or(0, |m| m.case.windows),
+        table(
+            &["scans", "set-up, s", "step, ms", "epoch, ms", "peak memory"],
+            &scans.iter().map(by_scan).collect::<Vec<_>>(),
+        ),
         table(&["threads", "step, ms"], &threads.iter().map(by_thread).collect::<Vec<_>>()),
     ))
 }

@@ -14,6 +14,7 @@ use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_garment::energy::ScanCloud;
 use caphy_garment::skinning::WeightOptions;
 use caphy_garment::template::{BodyRest, Style, Tailor, Template, UpperStyle};
+use nalgebra::Matrix3x4;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::Path;
@@ -36,11 +37,13 @@ pub(crate) struct Case {
     pub(crate) windows: usize,
     pub(crate) window: usize,
     pub(crate) threads: usize,
+    /// Scans whose poses and points a step learns from, a batch at a time; 0 for windows of motion.
+    pub(crate) scans: usize,
 }
 
 impl Default for Case {
     fn default() -> Self {
-        Self { vertices: 5_000, windows: 16, window: 5, threads: 1 }
+        Self { vertices: 5_000, windows: 16, window: 5, threads: 1, scans: 0 }
     }
 }
 
@@ -109,6 +112,14 @@ fn split(template: &mut Template) {
     template.loops.clear();
 }
 
+/// What a scan might show of the shirt: three points for each of its vertices.
+fn cloud(shirt: &FittedGarment, posed: &[Matrix3x4<f64>]) -> Outcome<ScanCloud<f32>> {
+    let mut points = shirt.skinned(posed)?;
+    let middles = shirt.mesh.faces.iter().map(|f| f.iter().map(|&v| points[v as usize]).sum::<Vec3>() / 3.0);
+    points.extend(middles.collect::<Vec<_>>());
+    Ok(ScanCloud::new("scaling", &points)?)
+}
+
 pub(crate) fn measure(case: &Case) -> Outcome<Measured> {
     rayon::ThreadPoolBuilder::new().num_threads(case.threads).build_global()?;
     let started = Instant::now();
@@ -127,7 +138,7 @@ pub(crate) fn measure(case: &Case) -> Outcome<Measured> {
     let shirt = FittedGarment::new(template, &skin.vertices, &body.describe().weights, &WeightOptions::default())?;
     eprintln!("  weights {:.1} s", started.elapsed().as_secs_f64());
     let reach = Reach::new(&skin, &[&shirt.mesh.vertices], 0.12)?;
-    let clip = procedural_clip(MotionKind::Walk, 1, 3.0, 30.0)?;
+    let clip = procedural_clip(MotionKind::Walk, 1, (case.scans as f64 / 30.0).max(3.0), 30.0)?;
     let count = clip.poses.len();
     let config = TrainConfig { batch: case.windows, window: case.window, still_poses: 0, ..TrainConfig::default() };
     let motion = MotionFrames {
@@ -136,11 +147,9 @@ pub(crate) fn measure(case: &Case) -> Outcome<Measured> {
         has_before: (0..count).map(|i| i > 0).collect(),
         fps: 30.0,
     };
-    let scans = ScanFrames {
-        track: Arc::new(BodyTrack::new(&*body, &subject, &reach, &clip.poses[..1])?),
-        clouds: vec![ScanCloud::new("scaling", &[Vec3::zeros()])?],
-        visible: vec![true; shirt.mesh.vertices.len()],
-    };
+    let track = BodyTrack::new(&*body, &subject, &reach, &clip.poses[..case.scans.max(1)])?;
+    let clouds = track.transforms.iter().map(|posed| cloud(&shirt, posed)).collect::<Outcome<_>>()?;
+    let scans = ScanFrames { track: Arc::new(track), clouds, visible: vec![true; shirt.mesh.vertices.len()] };
     let (plugins, path) = (Plugins::new()?, Path::new("scaling.toml"));
     let net = PluginTable::parse(&plugins, Kind::Net, path, "type = \"gru\"")?;
     let fabric =
@@ -162,10 +171,16 @@ pub(crate) fn measure(case: &Case) -> Outcome<Measured> {
     let estimated_bytes = need.total() - need.good_state;
     let mut learner = GarmentLearner::new(&shirt, &first, material, &net, &config, &motion, &scans, contact)?;
     drop(first);
-    let batch = Batch {
-        frames: (0..case.window).flat_map(|t| (0..case.windows).map(move |w| 4 * w + t)).collect(),
-        windows: case.windows,
-        kind: BatchKind::Windows,
+    let batch = match case.scans {
+        0 => Batch {
+            frames: (0..case.window).flat_map(|t| (0..case.windows).map(move |w| 4 * w + t)).collect(),
+            windows: case.windows,
+            kind: BatchKind::Windows,
+        },
+        scans => {
+            let windows = scans.min(case.windows);
+            Batch { frames: (0..windows).collect(), windows, kind: BatchKind::Scans }
+        }
     };
     let mut fastest: Option<(f64, Vec<(String, f64)>)> = None;
     let mut setup_s = 0.0;

@@ -14,6 +14,7 @@ mod bending;
 mod disturbed;
 mod drapes;
 mod fits;
+mod scans;
 #[path = "../../crates/garment/tests/all/estimate/study.rs"]
 #[allow(dead_code, reason = "shared with the tests, which use all of it")]
 mod study;
@@ -72,7 +73,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
          0.5 mm of noise on every coordinate where nothing else is said, and estimated by its seven factors. Ratios are estimate \
          over truth. Worn garments are harder: see the end.\n"
     );
-    let sections: [(&str, &dyn Fn() -> Section); 8] = [
+    let sections: [(&str, &dyn Fn() -> Section); 9] = [
         ("Eq. 10 alone", &|| balance::noise(&PAIR)),
         ("The paper's alternation", &|| balance::drift(PAIR[0], &figures)),
         ("The equilibrium fit, started near", &|| {
@@ -83,6 +84,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ("Bending: a strip against the elastica", &|| bending::section()),
         ("Ten fabrics over a table (an illustration)", &|| drapes::section(&figures)),
         ("Worn shirts, the body known", &|| worn::section()),
+        ("From scans", &|| scans::section()),
     ];
     for (title, section) in sections {
         if only.as_ref().is_some_and(|wanted| !title.starts_with(wanted.as_str())) {
@@ -97,9 +99,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("{text}");
         return Ok(());
     }
-    text += "\n## In a run\n\n\
-        The body under the clothes and the template's cut are off by millimetres there, too. Both are fitted along under priors, \
-        and an answer whose poses fit more than three times worse than the noise is shown and not used.\n";
     write_atomically(&page, text.as_bytes())?;
     println!("{}", page.display());
     Ok(())

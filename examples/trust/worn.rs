@@ -135,18 +135,18 @@ fn logs(truth: &dyn MaterialModel, values: &[f64]) -> Vec<(String, f64)> {
 }
 
 /// Bending's mean and the table's columns but the Poisson coupling: median |log ratio|.
-fn listed(truth: &dyn MaterialModel, values: &[f64]) -> f64 {
+pub(crate) fn listed(truth: &dyn MaterialModel, values: &[f64]) -> f64 {
     let kept = logs(truth, values).into_iter().filter(|(name, log)| !name.contains("c12") && log.is_finite());
     middle(kept.map(|(_, log)| log.abs()).collect())
 }
 
-fn middle(mut values: Vec<f64>) -> f64 {
+pub(crate) fn middle(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }
 
 /// 95 % intervals, those of unknowns that the prior does not hold: how many cover the truth, of how many.
-fn coverage(truth: &dyn MaterialModel, found: &EquilibriumEstimate) -> [usize; 2] {
+pub(crate) fn coverage(truth: &dyn MaterialModel, found: &EquilibriumEstimate) -> [usize; 2] {
     let errors = logs(truth, &found.parameters);
     let judged = found.unknowns.iter().zip(&errors).filter(|(u, (_, log))| !u.held_by_prior && log.is_finite());
     let inside = judged.clone().filter(|(u, (_, log))| log.abs() <= 1.96 * u.log_sd).count();

@@ -3,7 +3,8 @@
 use super::figure::{Figure, Files, Motion};
 use caphy::avatar::Avatar;
 use caphy::plugins::Plugins;
-use caphy::stage::animate::{Played, PushOut, perform};
+use caphy::stage::animate::{Played, PushOut, by_nets, perform};
+use caphy::track::BodyTrack;
 use caphy_core::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -66,7 +67,8 @@ fn avatar(arguments: &Arguments, path: &Path, plugins: &Plugins) -> Result<usize
     let clip = arguments.motion.clip(fps, &scene.rest_joints[0])?;
     let push = PushOut { gap: arguments.push_out, limit: 0.0, layering: avatar.layering };
     let net = avatar.net(plugins)?;
-    let film = perform(&scene, &avatar.garments, &avatar.nets, &net, clip, &push, &|_| {})?;
+    let shapes = |track: &BodyTrack| by_nets(&avatar.garments, &avatar.nets, &net, track);
+    let film = perform(&scene, &avatar.garments, clip, shapes, &push, &|_| {})?;
     for garment in &film.garments {
         note!(
             "{}: {:.2} % of vertices inside the body before they were pushed out, {:.1} mm at most",

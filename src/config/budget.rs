@@ -42,13 +42,17 @@ impl Choice {
     pub fn text(&self) -> String {
         let Pick { point: p, because } = &self.pick;
         let mut out = format!(
-            "“{}”: {because}. Measured on {}: {:.2} mm over the floor ({:.2} mm on other motion), {:.2} ms per frame, {:.1} s of training. Sets {}.",
+            "“{}”: {because}. Measured on {}: {:.2} mm over the floor ({:.2} mm on other motion), {:.2} ms per frame, {}. Sets {}.",
             p.name,
             self.measured_on,
             p.error_mm,
             p.check_mm,
             p.frame_ms,
-            p.train_s,
+            if p.solver {
+                "simulated: the avatar's nets are trained as the file has them".into()
+            } else {
+                format!("{:.1} s of training", p.train_s)
+            },
             if self.set.is_empty() { "nothing: the file sets all of it".into() } else { self.set.join(", ") }
         );
         if !self.kept.is_empty() {
@@ -132,9 +136,12 @@ pub(super) fn applied(mut table: toml::Table, files: &ProjectFiles) -> Result<(t
         None => Front::embedded()?,
     };
     let agrees = |point: &Candidate| applied_to(&table, point).is_ok_and(|(_, kept)| kept.is_empty());
+    // What is simulated is what `[animate]` plays.
+    let nets_only = !table.contains_key("animate");
+    let able = |point: &Candidate| !(point.solver && nets_only);
     // Where every point contradicts the file, the file's values hold all the same.
-    let any = front.points.iter().any(&agrees);
-    let may = |point: &Candidate| !any || agrees(point);
+    let any = front.points.iter().any(|point| able(point) && agrees(point));
+    let may = |point: &Candidate| able(point) && (!any || agrees(point));
     let pick = match budget.preset {
         Some(preset) => front.preset(preset, &may).ok_or_else(|| {
             Error::config("budget.front", "there is no point on it", "measure one with `caphy tradeoff`")
@@ -163,11 +170,19 @@ mod tests {
             check_mm: error_mm,
             frame_ms: train_s / 10.0,
             train_s,
+            solver: false,
+        };
+        let solver = Candidate {
+            name: "simulated".into(),
+            set: vec!["upper.resolution_m=0.03".into(), "animate.solver={ tolerance_n = 0.02 }".into()],
+            solver: true,
+            ..point("", "{ type = \"gru\" }", 1, 0.3, 0.0)
         };
         let points = vec![
             point("best", "{ type = \"gru\", layers = 4, hidden = 256 }", 24, 1.0, 100.0),
             point("middle", "{ type = \"gru\", layers = 2, hidden = 64 }", 12, 1.05, 30.0),
             point("small", "{ type = \"mlp\", hidden = [64] }", 6, 5.0, 4.0),
+            solver,
         ];
         let front = Front { scene: "s".into(), machine: "m".into(), floor_mm: 0.0, spread_mm: 0.0, points };
         std::fs::write(folder.join("f.json"), serde_json::to_string(&front).unwrap()).unwrap();
@@ -194,6 +209,18 @@ mod tests {
             let text = format!("[budget]\npreset = \"{preset}\"\nfront = \"f.json\"");
             assert_eq!(choose(&text).unwrap().1.unwrap().pick.point.name, name);
         }
+    }
+
+    #[test]
+    fn what_is_animated_may_be_simulated() {
+        let budget = "[upper]\n[budget]\nerror_mm = 0.5\nfront = \"f.json\"";
+        let (table, choice) = choose(&format!("{budget}\n[animate]")).unwrap();
+        let choice = choice.unwrap();
+        assert!(choice.pick.point.solver && !table.contains_key("net"), "{choice:?}");
+        assert_eq!(table["animate"]["solver"]["tolerance_n"].as_float(), Some(0.02));
+        assert!(choice.text().contains("simulated:") && !choice.text().contains("s of training"), "{}", choice.text());
+        // Nothing is animated: a budget is the nets' to keep.
+        assert!(choose(budget).unwrap_err().to_string().contains("“best”"));
     }
 
     #[test]

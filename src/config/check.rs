@@ -145,6 +145,9 @@ impl Config {
             count("compare.rest_every", compare.rest_every, 1, usize::MAX)?;
             positive("compare.solver.tolerance_n", compare.solver.tolerance_n)?;
         }
+        if let Some(solver) = self.animate.as_ref().and_then(|a| a.solver) {
+            positive("animate.solver.tolerance_n", solver.tolerance_n)?;
+        }
         self.tradeoff().check()?;
         self.motion.variation.check()?;
         self.motion.limits.check().map_err(|e| match e {

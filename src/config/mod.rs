@@ -612,6 +612,10 @@ pub struct AnimateConfig {
     /// Most seconds of it that are played. Default 10.
     #[serde(default = "ten_seconds")]
     pub seconds: f64,
+    /// Simulate the garments instead of asking their nets: a thousand times the time, and what nets come near to. `{}` takes forces
+    /// down to 1e-2 N, some times the weight of a vertex, in at most 120 steps, which docs/trade.md finds as near as less. Default none: nets.
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "animating")]
+    pub solver: Option<SolverSettings>,
     /// Push garment vertices that end up inside the body, or inside the garment below, out to this distance [m]; 0 leaves them.
     /// Default 2 mm (SNUG).
     #[serde(default = "two_millimetres")]
@@ -621,6 +625,16 @@ pub struct AnimateConfig {
     pub obj_every: usize,
 }
 
+impl AnimateConfig {
+    /// What `solver = {}` means.
+    pub(crate) fn solver_defaults() -> SolverSettings {
+        SolverSettings { tolerance_n: 1e-2, iterations: 120, ..SolverSettings::default() }
+    }
+}
+
+fn animating<'de, D: serde::Deserializer<'de>>(file: D) -> std::result::Result<Option<SolverSettings>, D::Error> {
+    optimise::over(file, AnimateConfig::solver_defaults()).map(Some)
+}
 fn every_fifth() -> usize {
     5
 }

@@ -78,7 +78,10 @@ impl Default for WornEquilibrium {
 }
 
 /// What a file gives of a table, over defaults that are not the type's own.
-fn over<'de, D: Deserializer<'de>, T: Serialize + DeserializeOwned>(file: D, defaults: T) -> Result<T, D::Error> {
+pub(super) fn over<'de, D: Deserializer<'de>, T: Serialize + DeserializeOwned>(
+    file: D,
+    defaults: T,
+) -> Result<T, D::Error> {
     let given = toml::Table::deserialize(file)?;
     let mut all = toml::Table::try_from(defaults).map_err(D::Error::custom)?;
     all.extend(given);

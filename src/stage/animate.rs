@@ -1,19 +1,24 @@
 //! The avatar plays a motion clip.
 
 use super::preprocess::Subject;
+use super::reference::fabric;
 use super::train::Nets;
 use super::{Context, StageOutput};
 use crate::garment::{FittedGarment, TrainedGarment};
 use crate::inference::{Play, clearance, contacts, play, push_layers, push_out};
 use crate::motion;
 use crate::moving::{MovingFigure, MovingGarment, picture};
+use crate::physics::solver_forces;
 use crate::pictures;
 use crate::plugins::PluginTable;
 use crate::scene::Scene;
+use crate::simulate::{SimulationOptions, Steps, simulate_layers};
+use crate::track::BodyTrack;
 use caphy_core::body::BodyModel;
 use caphy_core::motion::MotionClip;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::energy::{LayeringOptions, LayeringOrder};
+use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::GarmentKind;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -71,24 +76,37 @@ pub struct PushOut {
     pub layering: LayeringOptions,
 }
 
-/// Plays a clip with carried state; `progress` hears the share done.
+/// Vertices of garments along a clip [m], shape [garment][frame][vertex].
+type Shapes = Vec<Vec<Vec<Vec3>>>;
+
+/// What nets say of a clip, with carried state.
 ///
 /// # Errors
-/// What a net or the body refuses; values that are not finite.
-pub fn perform(
-    scene: &Scene,
+/// What a net refuses; values that are not finite.
+pub fn by_nets(
     garments: &[FittedGarment],
     nets: &[TrainedGarment],
     spec: &PluginTable,
+    track: &BodyTrack,
+) -> Result<Shapes> {
+    garments.iter().zip(nets).map(|(fitted, trained)| play(fitted, trained, spec, track, Play::Clip)).collect()
+}
+
+/// Plays a clip: what `shapes` says of it, with vertices in the body or in the garment below pushed out; `progress` hears the share of
+/// frames that this is done for.
+///
+/// # Errors
+/// What the body or `shapes` refuse.
+pub fn perform(
+    scene: &Scene,
+    garments: &[FittedGarment],
     clip: MotionClip,
+    shapes: impl FnOnce(&BodyTrack) -> Result<Shapes>,
     push: &PushOut,
     progress: &dyn Fn(f64),
 ) -> Result<Film> {
     let track = scene.track(&clip.poses)?;
-    let mut played = Vec::new();
-    for (fitted, trained) in garments.iter().zip(nets) {
-        played.push(play(fitted, trained, spec, &track, Play::Clip)?);
-    }
+    let mut played = shapes(&track)?;
     let maps = garments.iter().map(|g| scene.contact(g)).collect::<Result<Vec<_>>>()?;
     let mut depth = vec![(0usize, 0.0f64); played.len()];
     for frame in 0..clip.poses.len() {
@@ -142,8 +160,12 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Fi
         limit: context.config.evaluate.penetration_m,
         layering: context.config.finetune.layering,
     };
+    let shapes = |track: &BodyTrack| match config.solver {
+        Some(settings) => by_solver(context, subject, &scene, avatar, settings, fps, track),
+        None => by_nets(&subject.garments, &avatar.garments, &context.config.net, track),
+    };
     let say = |s: f64| context.progress.set(0.7 * s, "frames");
-    let mut film = perform(&scene, &subject.garments, &avatar.garments, &context.config.net, clip, &push, &say)?;
+    let mut film = perform(&scene, &subject.garments, clip, shapes, &push, &say)?;
     let figure = Played { scene: &scene, garments: &subject.garments, film: &film, colours: &[] };
     let last = film.clip.poses.len() - 1;
     let spread = |count: usize| (0..count).map(move |i| i * last / (count - 1).max(1));
@@ -162,6 +184,36 @@ pub fn run(context: &Context<'_>, subject: &Subject, avatar: &Nets) -> Result<Fi
     context.write("pictures/strip.png", &pictures::sheet(&strip, STRIP)?)?;
     film.pictures = vec!["pictures/animation.png".into(), "pictures/strip.png".into()];
     Ok(film)
+}
+
+/// What the reference solver says of a clip in the avatar's fabrics, with the energies of training.
+fn by_solver(
+    context: &Context<'_>,
+    subject: &Subject,
+    scene: &Scene,
+    avatar: &Nets,
+    settings: SolverSettings,
+    fps: f64,
+    track: &BodyTrack,
+) -> Result<Shapes> {
+    let fabrics = subject.garments.iter().map(|g| fabric(context, g.kind, Some(avatar))).collect::<Result<Vec<_>>>()?;
+    let forces = solver_forces(&context.config.train);
+    let options = SimulationOptions { steps: Steps::Dynamic, fps, forces, settings, disturbance: None };
+    let order = context.config.finetune.layering.order;
+    let contact = |garment: &FittedGarment| scene.contact(garment);
+    let say = |share: f64, text: &str| context.progress.set(0.7 * share, &format!("solver, {text}"));
+    let solved = simulate_layers(&subject.garments, &fabrics, order, track, &contact, &options, &say)?;
+    for (garment, simulation) in subject.garments.iter().zip(&solved).filter(|(_, s)| s.unconverged() > 0) {
+        context.progress.note(&format!(
+            "{}: forces did not come below {:.0e} N in {} of {} frames, {:.1e} N left at most",
+            garment.kind,
+            settings.tolerance_n,
+            simulation.unconverged(),
+            simulation.frames.len(),
+            simulation.worst_residual_n()
+        ));
+    }
+    Ok(solved.into_iter().map(|simulation| simulation.frames).collect())
 }
 
 /// Number of frames in the strip.

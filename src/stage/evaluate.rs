@@ -6,6 +6,7 @@ use super::scans::read_framed;
 use super::train::{Nets, config_key};
 use super::{Context, Scans, StageOutput, material};
 use crate::config::{SubjectConfig, TrainConfig};
+use crate::garment::FittedGarment;
 use crate::inference::{Play, clearance, contacts, play};
 use crate::measure::{Fit, Perceptual, ScanGarment, pose_distance, scan_spectrum, shown};
 use crate::physics::{Physics, solver_forces};
@@ -13,16 +14,18 @@ use crate::pictures::{self, Dressed};
 use crate::plot::number;
 use crate::quality::{Spectrum, SpectrumFilter};
 use crate::scene::{Scene, scan_frames};
-use crate::simulate::{SimulationOptions, Steps, Under, simulate};
+use crate::simulate::{SimulationOptions, Steps, simulate_layers};
 use crate::synth::Truth;
 use crate::track::BodyTrack;
 use caphy_core::files::Files;
 use caphy_core::lanes::Frames;
+use caphy_core::material::MaterialModel;
 use caphy_core::pose::{Pose, SMPLX_JOINTS};
 use caphy_core::query::NearestGrid;
 use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3, mesh};
 use caphy_formats::npz::Npz;
+use caphy_garment::energy::LayeringOrder;
 use caphy_garment::estimate::reduction;
 use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::{GarmentKind, MeasureErrors};
@@ -539,33 +542,33 @@ fn solver_floor(
         },
         disturbance: None,
     };
-    let mut done: Vec<Vec<Vec<Vec3>>> = Vec::new();
-    for (k, fitted) in subject.garments.iter().enumerate().rev() {
+    let cloth = |fitted: &FittedGarment| -> Result<Arc<dyn MaterialModel>> {
         let (table, key) = match fitted.kind {
             GarmentKind::Upper => (&synthetic.upper_material, "subject.upper_material"),
             GarmentKind::Lower => (&synthetic.lower_material, "subject.lower_material"),
         };
-        let under = done.last().map(|frames| Under { faces: &subject.garments[k + 1].mesh.faces, frames });
-        let contact = scene.contact(fitted)?;
-        let say = |share: f64, text: &str| context.progress.set(share, &format!("solver, {}: {text}", fitted.kind));
-        let simulation = simulate(fitted, Arc::from(table.material(key)?), &track, &contact, under, &options, &say)?;
-        if simulation.unconverged() > 0 {
-            context.progress.note(&format!(
-                "{}: the solver did not come to rest in {} of {} held-out poses, {:.1e} N left at most",
-                fitted.kind,
-                simulation.unconverged(),
-                held.len(),
-                simulation.worst_residual_n()
-            ));
-        }
-        done.push(simulation.frames);
+        Ok(Arc::from(table.material(key)?))
+    };
+    let materials = subject.garments.iter().map(cloth).collect::<Result<Vec<_>>>()?;
+    let contact = |garment: &FittedGarment| scene.contact(garment);
+    let say = |share: f64, text: &str| context.progress.set(share, &format!("solver, {text}"));
+    let order = LayeringOrder::Over;
+    let done = simulate_layers(&subject.garments, &materials, order, &track, &contact, &options, &say)?;
+    for (fitted, simulation) in subject.garments.iter().zip(&done).filter(|(_, s)| s.unconverged() > 0) {
+        context.progress.note(&format!(
+            "{}: the solver did not come to rest in {} of {} held-out poses, {:.1e} N left at most",
+            fitted.kind,
+            simulation.unconverged(),
+            held.len(),
+            simulation.worst_residual_n()
+        ));
     }
     let spread = |frames: Vec<Vec<Vec3>>| {
         let mut all = vec![Vec::new(); poses.len()];
         held.iter().zip(frames).for_each(|(&i, frame)| all[i] = frame);
         all
     };
-    Ok(Some(done.into_iter().rev().map(spread).collect()))
+    Ok(Some(done.into_iter().map(|simulation| spread(simulation.frames)).collect()))
 }
 
 /// Scans that are shown beside the avatar.

@@ -69,7 +69,8 @@ pub fn run(context: &Context<'_>, inputs: &Inputs<'_>) -> Result<Page> {
     };
     list(&mut html, "Warnings", "warn", &remarks::warnings(inputs));
     if let Some(played) = inputs.film {
-        film(&mut html, &embedded(context, "pictures/strip.png")?, played);
+        let solver = context.config.animate.as_ref().and_then(|a| a.solver);
+        film(&mut html, &embedded(context, "pictures/strip.png")?, played, solver.map(|s| s.tolerance_n));
     }
     if inputs.scans.truth.is_some() {
         picture(
@@ -176,7 +177,8 @@ fn overview(html: &mut String, context: &Context<'_>, inputs: &Inputs<'_>) {
     table(html, &["training step, all threads", "median ms"], steps.map(|(n, ms)| vec![n.clone(), format!("{ms:.1}")]));
 }
 
-fn film(html: &mut String, strip: &str, film: &Film) {
+/// `tolerance_n`: where frames are simulated, what forces were brought down to [N].
+fn film(html: &mut String, strip: &str, film: &Film, tolerance_n: Option<f64>) {
     let frames = strip_frames();
     let [width, height] = crate::pictures::SIZE;
     let margin = caphy_render::sheet::MARGIN;
@@ -188,6 +190,13 @@ fn film(html: &mut String, strip: &str, film: &Film) {
          animation:play {seconds:.2}s steps({frames}) infinite\" role=\"img\" aria-label=\"the avatar in motion\"></div>",
         end = margin + frames * step,
     );
+    if let Some(tolerance) = tolerance_n {
+        let _ = write!(
+            html,
+            "<p>Simulated by the reference solver, forces down to {tolerance:.0e} N (<code>[animate] solver</code>). The exported avatar \
+             has its nets, which were not asked here.</p>"
+        );
+    }
     let rows = film
         .garments
         .iter()

@@ -2,12 +2,13 @@
 
 use super::Person;
 use crate::config::SyntheticConfig;
+use crate::garment::FittedGarment;
 use crate::physics::{GRAVITY, WAISTBAND};
 use crate::scene::Scene;
-use crate::simulate::{SimulationOptions, Steps, Under, simulate};
+use crate::simulate::{SimulationOptions, Steps, simulate_layers};
 use caphy_core::pose::Pose;
 use caphy_core::{Result, Vec3};
-use caphy_garment::energy::{ContactOptions, RestAngle};
+use caphy_garment::energy::{ContactOptions, LayeringOrder, RestAngle};
 use caphy_garment::solver::{Forces, SolveReport, SolverSettings};
 use serde::{Deserialize, Serialize};
 
@@ -26,7 +27,7 @@ const CONTACT: ContactOptions = ContactOptions { margin: 4e-3, allowed_depth: 1e
 /// Brings all clothes to rest in a pose, each from where skinning puts it.
 ///
 /// # Errors
-/// As [`simulate`].
+/// As [`simulate_layers`].
 pub fn wear(config: &SyntheticConfig, person: &Person, scene: &Scene, pose: &Pose) -> Result<Worn> {
     let track = scene.track(std::slice::from_ref(pose))?;
     let options = SimulationOptions {
@@ -47,20 +48,13 @@ pub fn wear(config: &SyntheticConfig, person: &Person, scene: &Scene, pose: &Pos
         },
         disturbance: None,
     };
-    let mut done: Vec<(Vec<Vec<Vec3>>, SolveReport)> = Vec::new();
-    for (garment, material) in person.garments.iter().zip(&person.materials).rev() {
-        let under = done.last().map(|(frames, _)| Under {
-            faces: &person.garments[person.garments.len() - done.len()].mesh.faces,
-            frames,
-        });
-        let contact = scene.contact(garment)?;
-        let mut simulation = simulate(garment, material.clone(), &track, &contact, under, &options, &|_, _| {})?;
-        done.push((simulation.frames, simulation.reports.remove(0)));
-    }
+    let Person { garments, materials, .. } = person;
+    let contact = |garment: &FittedGarment| scene.contact(garment);
+    let done = simulate_layers(garments, materials, LayeringOrder::Over, &track, &contact, &options, &|_, _| {})?;
     let (mut shapes, mut reports) = (Vec::new(), Vec::new());
-    for (mut frames, report) in done.into_iter().rev() {
-        shapes.push(frames.remove(0));
-        reports.push(report);
+    for mut simulation in done {
+        shapes.push(simulation.frames.remove(0));
+        reports.push(simulation.reports.remove(0));
     }
     Ok(Worn { shapes, reports })
 }

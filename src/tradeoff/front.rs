@@ -32,8 +32,15 @@ pub struct Candidate {
     pub check_mm: f64,
     /// Processor time of an animated frame [ms].
     pub frame_ms: f64,
-    /// Processor time of training [s].
+    /// Processor time of training [s]; 0 for the solver.
     pub train_s: f64,
+    /// Whether the reference solver makes the frames instead of a net: taken where no net keeps a budget.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub solver: bool,
+}
+
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 /// A point by name, as measurements make it.
@@ -132,15 +139,15 @@ impl Front {
         }
         Ok(front)
     }
-    /// Points that no other one beats in error, frame time and training time together; least error first.
+    /// Nets that no other one beats in error, frame time and training time together; least error first.
     pub fn undominated(&self) -> Vec<&Candidate> {
         let costs = |c: &Candidate| [c.error_mm, c.frame_ms, c.train_s];
         let beats = |a: &Candidate, b: &Candidate| {
             let (a, b) = (costs(a), costs(b));
             (0..3).all(|i| a[i] <= b[i]) && (0..3).any(|i| a[i] < b[i])
         };
-        let mut out: Vec<&Candidate> =
-            self.points.iter().filter(|p| !self.points.iter().any(|other| beats(other, p))).collect();
+        let nets = || self.points.iter().filter(|c| !c.solver);
+        let mut out: Vec<&Candidate> = nets().filter(|p| !nets().any(|other| beats(other, p))).collect();
         out.sort_by(|a, b| a.error_mm.total_cmp(&b.error_mm));
         out
     }
@@ -179,7 +186,7 @@ impl Front {
             }
         }
     }
-    /// The point within bounds, among those that `may` be chosen.
+    /// The point within bounds, among those that `may` be chosen; the solver where no net is.
     ///
     /// # Errors
     /// [`Error::Config`] where nothing fits, naming what is nearest.
@@ -212,6 +219,13 @@ impl Front {
             let because = format!("{why} {told}: {} of {} points of the front do", fitting.len(), front.len());
             return Ok(Pick { point: (*point).clone(), because });
         }
+        let simulated = self.points.iter().filter(|c| c.solver && may(c));
+        // Nets are trained all the same, and how long is not the solver's to say.
+        let simulated = simulated.filter(|c| bounds.train_s.is_none() && missed(c) == 0.0);
+        if let Some(point) = simulated.min_by(|a, b| a.frame_ms.total_cmp(&b.frame_ms)) {
+            let because = format!("no net keeps {told}; the cheapest way to simulate that does");
+            return Ok(Pick { point: point.clone(), because });
+        }
         let nearest = front.iter().min_by(|a, b| missed(a).total_cmp(&missed(b)));
         let remedy = match nearest {
             Some(c) => format!("the nearest is “{}”: {}; the solver itself is `caphy simulate`", c.name, facts(c)),
@@ -226,7 +240,8 @@ mod tests {
     use super::*;
 
     fn point(name: &str, error_mm: f64, frame_ms: f64, train_s: f64) -> Candidate {
-        Candidate { name: name.into(), set: Vec::new(), error_mm, check_mm: error_mm, frame_ms, train_s }
+        let (name, set) = (name.into(), Vec::new());
+        Candidate { name, set, error_mm, check_mm: error_mm, frame_ms, train_s, solver: false }
     }
 
     fn front() -> Front {
@@ -275,6 +290,31 @@ mod tests {
             front.within(&Bounds { error_mm: Some(3.0), ..Bounds::default() }, restricted).unwrap().point.name,
             "slow"
         );
+    }
+
+    #[test]
+    fn the_solver_is_taken_where_no_net_keeps_a_budget() {
+        let mut front = front();
+        let presets = Preset::ALL.map(|p| front.preset(p, ANY).unwrap());
+        for (name, error_mm, frame_ms) in [("exact", 0.1, 1000.0), ("rough", 1.0, 300.0)] {
+            front.points.push(Candidate { solver: true, ..point(name, error_mm, frame_ms, 0.0) });
+        }
+        assert_eq!(Preset::ALL.map(|p| front.preset(p, ANY).unwrap()), presets);
+        let pick = |bounds: Bounds| front.within(&bounds, ANY);
+        let error = |error_mm: f64| Bounds { error_mm: Some(error_mm), ..Bounds::default() };
+        assert_eq!(pick(error(2.0)).unwrap().point.name, "slow");
+        let picked = pick(error(1.5)).unwrap();
+        assert!(picked.point.name == "rough" && picked.because.contains("no net"), "{picked:?}");
+        assert_eq!(pick(error(0.5)).unwrap().point.name, "exact");
+        // Too slow, not exact enough, or a bound on what the solver does not do.
+        for bounds in
+            [Bounds { time_ms: Some(100.0), ..error(1.5) }, error(0.05), Bounds { train_s: Some(1.0), ..error(1.5) }]
+        {
+            let said = pick(bounds).unwrap_err().to_string();
+            assert!(said.contains("error_mm"), "{said}");
+        }
+        let nets_only: &dyn Fn(&Candidate) -> bool = &|c| !c.solver;
+        assert!(front.within(&error(1.5), nets_only).is_err());
     }
 
     #[test]

@@ -5,11 +5,11 @@ use super::error::Errors;
 use super::knobs::{self, Acts, is_of_subject};
 use super::preprocessed::Preprocessed;
 use super::search::Method;
-use super::table::{Row, SolverRow};
+use super::table::{Offer, Row, SolverRow};
 use super::yardstick::{Yardstick, scene_of, settings, solve};
 use super::{Tradeoff, begin};
 use crate::artifact;
-use crate::config::{Config, Setting};
+use crate::config::{AnimateConfig, Config, Setting};
 use crate::files::ProjectFiles;
 use crate::inference::{Play, Player, play};
 use crate::plugins::Plugins;
@@ -19,6 +19,7 @@ use crate::stage::preprocess::Subject;
 use crate::stage::train::Nets;
 use crate::variants::anew;
 use caphy_core::{Error, Result};
+use caphy_garment::solver::SolverSettings;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -53,6 +54,8 @@ pub struct Measured {
 
 /// Raised when a point is measured otherwise.
 const VERSION: u32 = 2;
+/// The same of the solver.
+const SOLVER_VERSION: u32 = 3;
 
 /// Makes points.
 pub(super) struct Bench<'a> {
@@ -255,25 +258,48 @@ impl Bench<'_> {
         };
         let name = self.subject_folder(&set)?;
         let (subject, hash) = self.read_subject(&name)?;
-        let key = artifact::hash(format!("{VERSION}{}{hash}{method:?}", yardstick.hash).as_bytes());
+        let key = artifact::hash(format!("{SOLVER_VERSION}{}{hash}{method:?}", yardstick.hash).as_bytes());
         let path = self.folder("solver").join(format!("{}.caphy", &key[..12]));
         if let Some((row, _)) = artifact::load::<SolverRow>(&path, "solver", &key)? {
             return Ok((row, false));
         }
         let config = &self.sweep.config;
         let scene = scene_of(&self.sweep.files, config, &subject)?;
-        let motion = &yardstick.motions[0];
+        let vertices = subject.garments.iter().map(|g| g.mesh.vertices.len()).sum();
+        let (frame_ms, unconverged, error) = self.played_by(method, &scene, &subject, yardstick, 0)?;
+        let mut row = SolverRow { method: method.name.into(), vertices, frame_ms, unconverged, error, offer: None };
+        if let (true, Some(tolerance)) = (method.offered, method.tolerance_n) {
+            let (.., check) = self.played_by(method, &scene, &subject, yardstick, 1)?;
+            let templates = knobs::fixed(&self.config(&set)?)?.into_iter().filter(is_of_subject);
+            let solver = Setting::new("animate.solver", unusual(&settings(config, tolerance))?.into())?;
+            row.offer = Some(Offer { set: templates.chain([solver]).map(|s| s.to_string()).collect(), check });
+        }
+        artifact::save(&path, "solver", &key, &row)?;
+        Ok((row, true))
+    }
+
+    /// A method along one of the motions: processor time of a frame of all garments [ms], frames that did not converge of how many,
+    /// error.
+    fn played_by(
+        &self,
+        method: &Method,
+        scene: &Scene,
+        subject: &Subject,
+        yardstick: &Yardstick,
+        motion: usize,
+    ) -> Result<(f64, [usize; 2], Errors)> {
+        let (config, played) = (&self.sweep.config, &yardstick.motions[motion]);
         let (mut errors, mut seconds, mut unconverged) = (Vec::new(), 0.0, [0; 2]);
         for (index, garment) in subject.garments.iter().enumerate() {
             let (frames, energy) = match method.tolerance_n {
                 Some(tolerance) => {
-                    let solved = solve(config, &scene, garment, motion, settings(config, tolerance), None)?;
+                    let solved = solve(config, scene, garment, played, settings(config, tolerance), None)?;
                     seconds += solved.spent.processor_s;
                     unconverged.iter_mut().zip(solved.unconverged).for_each(|(sum, n)| *sum += n);
                     (solved.frames, Some(solved.energy_j))
                 }
                 None => {
-                    let track = scene.track(motion.judged())?;
+                    let track = scene.track(played.judged())?;
                     let watch = Stopwatch::start();
                     let (mut least, mut skinned) = (f64::INFINITY, Vec::new());
                     while watch.read().processor_s < LEAST {
@@ -282,22 +308,24 @@ impl Bench<'_> {
                         least = least.min(play.read().wall_s);
                     }
                     // Per simulated frame, as the others.
-                    seconds += least * motion.simulated().len() as f64 / motion.judged().len() as f64;
+                    seconds += least * played.simulated().len() as f64 / played.judged().len() as f64;
                     (skinned, None)
                 }
             };
-            errors.push(yardstick.judge(config, &scene, garment, index, 0, &frames, energy)?);
+            errors.push(yardstick.judge(config, scene, garment, index, motion, &frames, energy)?);
         }
-        let row = SolverRow {
-            method: method.name.into(),
-            vertices: subject.garments.iter().map(|g| g.mesh.vertices.len()).sum(),
-            frame_ms: 1e3 * seconds / motion.simulated().len() as f64,
-            unconverged,
-            error: Errors::mean(&errors),
-        };
-        artifact::save(&path, "solver", &key, &row)?;
-        Ok((row, true))
+        Ok((1e3 * seconds / played.simulated().len() as f64, unconverged, Errors::mean(&errors)))
     }
+}
+
+/// What settings of a solver say that `[animate] solver = {}` does not.
+fn unusual(settings: &SolverSettings) -> Result<toml::Table> {
+    let table = |settings: &SolverSettings| {
+        toml::Table::try_from(settings)
+            .map_err(|e| Error::config("animate.solver", e.to_string(), "report this as a defect"))
+    };
+    let usual = table(&AnimateConfig::solver_defaults())?;
+    Ok(table(settings)?.into_iter().filter(|(key, value)| usual.get(key) != Some(value)).collect())
 }
 
 /// Hashes of the files that a part of a configuration names, one after the other.

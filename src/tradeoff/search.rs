@@ -12,15 +12,17 @@ pub(super) struct Method {
     pub(super) tolerance_n: Option<f64>,
     /// On the coarse template of the sweep instead of the experiment's own.
     pub(super) coarse: bool,
+    /// Whether budgets may take it: it is measured on the other motion, too.
+    pub(super) offered: bool,
 }
 
 /// The solver's knobs: tolerance and template.
 pub(super) const SOLVERS: &[Method] = &[
-    Method { name: "skinning alone", tolerance_n: None, coarse: false },
-    Method { name: "1e-2 N, coarse template", tolerance_n: Some(1e-2), coarse: true },
-    Method { name: "1e-2 N", tolerance_n: Some(1e-2), coarse: false },
-    Method { name: "1e-3 N", tolerance_n: Some(1e-3), coarse: false },
-    Method { name: "1e-5 N", tolerance_n: Some(1e-5), coarse: false },
+    Method { name: "skinning alone", tolerance_n: None, coarse: false, offered: false },
+    Method { name: "1e-2 N, coarse template", tolerance_n: Some(1e-2), coarse: true, offered: true },
+    Method { name: "1e-2 N", tolerance_n: Some(1e-2), coarse: false, offered: true },
+    Method { name: "1e-3 N", tolerance_n: Some(1e-3), coarse: false, offered: false },
+    Method { name: "1e-5 N", tolerance_n: Some(1e-5), coarse: false, offered: false },
 ];
 
 /// Where a walk leads.

@@ -93,6 +93,17 @@ pub struct SolverRow {
     pub unconverged: [usize; 2],
     /// Against the finest solver.
     pub error: Errors,
+    /// What budgets may take of it; none for a method that is only measured.
+    pub offer: Option<Offer>,
+}
+
+/// The solver as a point that can be chosen.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Offer {
+    /// Templates and the solver's settings, as `caphy run --set` takes them.
+    pub set: Vec<String>,
+    /// Errors on other motion.
+    pub check: Errors,
 }
 
 /// Everything that was measured.
@@ -196,8 +207,21 @@ impl Results {
             check_mm: (row.measured.check.surface_mm - floor_check).max(0.0),
             frame_ms: row.measured.frame_ms,
             train_s: row.measured.train_s,
+            solver: false,
         });
-        let points: Vec<Candidate> = candidates.collect();
+        let simulated = self.solver.iter().filter_map(|row| {
+            let offer = row.offer.as_ref()?;
+            Some(Candidate {
+                name: format!("the solver, {}", row.method),
+                set: offer.set.clone(),
+                error_mm: (row.error.surface_mm - floor).max(0.0),
+                check_mm: (offer.check.surface_mm - floor_check).max(0.0),
+                frame_ms: row.frame_ms,
+                train_s: 0.0,
+                solver: true,
+            })
+        });
+        let points: Vec<Candidate> = candidates.chain(simulated).collect();
         self.front.spread_mm = self.spread_mm();
         self.front.floor_mm = floor;
         self.front.points = points;
@@ -267,7 +291,10 @@ impl Results {
             cells
         });
         out.push(("Nets", text(&head.concat()), rows.collect()));
-        let head = [&["", "vertices", "frame, ms", "not converged", "error over floor, mm"][..], &Errors::NAMES[..]];
+        let head = [
+            &["", "vertices", "frame, ms", "not converged", "error over floor, mm", "other motion, mm"][..],
+            &Errors::NAMES[..],
+        ];
         let rows = self.solver.iter().map(|r| {
             let [open, all] = r.unconverged;
             let mut cells = vec![
@@ -276,6 +303,7 @@ impl Results {
                 number(r.frame_ms),
                 if all == 0 { "–".into() } else { format!("{open} of {all}") },
                 number((r.error.surface_mm - floor).max(0.0)),
+                optional(r.offer.as_ref().map(|o| (o.check.surface_mm - self.floors[1].surface_mm).max(0.0))),
             ];
             cells.extend(r.error.values().map(number));
             cells

@@ -603,3 +603,31 @@ fn a_damaged_artifact_is_named_and_can_be_made_again() {
     assert_eq!(experiment.run().ran, ["train"]);
     assert!(std::fs::read(&path).expect("an artifact") == sound, "train.caphy came back with other bits");
 }
+
+/// The solver in place of nets: only what is animated is made again.
+#[test]
+fn what_is_animated_can_be_simulated() {
+    let clip = "clip = { type = \"procedural\", kind = \"walk\", seconds = 1, seed = 11 }";
+    let config = edited(TINY, &[(clip, &format!("{clip}\nseconds = 0.2\nsolver = {{}}"))]);
+    let experiment = Experiment::copy_of(finished(), &config);
+    assert_eq!(experiment.run().ran, ["animate", "export", "report"]);
+    let (out, [simulated, played]) =
+        (experiment.out(), [&experiment.out(), finished()].map(|o| value::<Film>(o, "animate")));
+    for (a, b) in simulated.garments.iter().zip(&played.garments) {
+        assert_eq!(a.frames.len(), 7);
+        let apart = |f: usize| {
+            let all = a.vertices(f).iter().zip(b.vertices(f)).map(|(p, q)| (p - q).norm()).collect::<Vec<_>>();
+            all.iter().sum::<f64>() / all.len() as f64
+        };
+        // The same person at the same time, in clothes that hang otherwise.
+        let apart = (0..7).map(apart).fold(f64::INFINITY, f64::min);
+        assert!(apart > 1e-4 && apart < 0.1, "{apart}");
+    }
+    // At rest on a body that it can rest on: what training comes to in three rounds is worse.
+    assert!(simulated.garments.iter().all(|g| g.penetrating < 0.05), "{simulated:?}");
+    let page = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(page.contains("Simulated by the reference solver, forces down to 1e-2 N"));
+    let wrong = config.replace("solver = {}", "solver = { tolerance_n = 0 }");
+    experiment.configure(&wrong);
+    assert!(experiment.error().contains("animate.solver.tolerance_n"));
+}

@@ -440,10 +440,10 @@ fn longer() -> String {
     edited(
         TINY,
         &[
-            ("rounds = 3", "rounds = 24\nmeasure_every = 9\npreview_every = 5"),
+            ("rounds = 3", "rounds = 12\nmeasure_every = 9\npreview_every = 5"),
             ("checkpoint_every = 5", "checkpoint_every = 7"),
             ("[optimise]\nrounds = 2\nestimator = { type = \"alternation\" }", "[optimise]\nalternations = 0"),
-            ("epochs = 6", "epochs = 24"),
+            ("epochs = 6", "epochs = 12"),
         ],
     )
 }

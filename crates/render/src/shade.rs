@@ -106,6 +106,10 @@ impl<'a> Picture<'a> {
             camera: &camera,
             surface: &surface,
             crease_radius: self.crease_radius as f32,
+            spiral: std::array::from_fn(|i| {
+                let (sin, cos) = (2.399_963 * (i as f32 + 0.5)).sin_cos();
+                [cos, sin]
+            }),
             sky: direction(&camera, &Vec3::y()),
             ground: self.ground.and_then(|y| Ground::new(y, &self.layers, &camera)),
             background: self.background.map(|c| c.map(srgb_to_linear)),
@@ -206,6 +210,8 @@ struct Scene<'a> {
     camera: &'a Camera,
     surface: &'a [Option<Surface>],
     crease_radius: f32,
+    /// (cos, sin) of each crease sample.
+    spiral: [[f32; 2]; CREASE_SAMPLES],
     sky: Vector3<f32>,
     ground: Option<Ground>,
     background: [[f32; 3]; 2],
@@ -240,7 +246,7 @@ impl Scene<'_> {
         for i in 0..CREASE_SAMPLES / 4 {
             let n = (4 * i + part) as f32 + 0.5;
             let radius = reach * n / CREASE_SAMPLES as f32;
-            let (sin, cos) = (2.399_963 * n).sin_cos();
+            let [cos, sin] = self.spiral[4 * i + part];
             let (x, y) = (px as f32 + radius * cos, py as f32 + radius * sin);
             if x < 0.0 || y < 0.0 || x >= width as f32 || y >= height as f32 {
                 continue;

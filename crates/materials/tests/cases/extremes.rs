@@ -76,6 +76,21 @@ fn every_hinge_output_is_finite() {
     }
 }
 
+/// 0/0 is not "beyond the table": without a least area it would be looked up at the table's end.
+#[test]
+fn a_flat_hinge_of_no_area_is_looked_up_flat() {
+    let u = [1.0, 0.0];
+    let of = |area| Hinge { angle: 0.0, rest: 0.0, length: 0.01, area, direction0: u, direction1: u };
+    for model in models() {
+        for found in
+            [hinges::<f32>(model.as_ref(), &[of(0.0), of(1e-4)]), hinges::<f64>(model.as_ref(), &[of(0.0), of(1e-4)])]
+        {
+            assert_eq!(found[0].stiffness, found[1].stiffness);
+            assert_eq!(found[0].by_length, 0.0);
+        }
+    }
+}
+
 #[test]
 fn single_precision_follows_double() {
     let eps = f64::from(f32::EPSILON);
