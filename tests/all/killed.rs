@@ -45,7 +45,7 @@ fn assert_same_as_finished(experiment: &Experiment, what: &str) {
 }
 
 #[test]
-#[ignore = "about five whole runs take a minute or more; .ci/slow runs it"]
+#[ignore = "about fifteen whole runs take some minutes; .ci/slow runs it"]
 fn whole_runs_killed_at_twenty_moments_end_with_the_same_bits() {
     finished();
     let started = Instant::now();
@@ -61,8 +61,8 @@ fn whole_runs_killed_at_twenty_moments_end_with_the_same_bits() {
         let experiment = Experiment::new(TINY);
         runs += 1;
         loop {
-            // Longer than any part between two checkpoints takes: every start comes farther.
-            let time = lasts.mul_f64(0.3 * share(&mut rng));
+            // Anywhere in a whole run; what is left of one may end before.
+            let time = lasts.mul_f64(share(&mut rng));
             if deaths == DEATHS || !killed_after(&experiment, time) {
                 break;
             }
@@ -75,6 +75,5 @@ fn whole_runs_killed_at_twenty_moments_end_with_the_same_bits() {
         assert_same_as_finished(&experiment, &format!("run {runs}"));
     }
     println!("{deaths} deaths in {runs} runs, by stage: {hits:?}; a run takes {:.1} s", lasts.as_secs_f64());
-    // A start that comes to no stage at all is none of them.
-    assert!(hits.iter().filter(|h| h.1 > 0).count() >= 3, "{hits:?}");
+    assert!(hits.iter().filter(|h| h.1 > 0).count() >= 4, "{hits:?}");
 }
