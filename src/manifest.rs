@@ -52,8 +52,12 @@ impl Program {
     /// # Errors
     /// [`Error::Io`] where the system does not show it.
     pub fn running() -> Result<Self> {
-        let at = std::env::current_exe().map_err(|e| Error::io("the running program", "find", e))?;
-        let bytes = std::fs::read(&at).map_err(|e| Error::io(&at, "read", e))?;
+        // Linux keeps the program that runs, even where a new build has taken the place of its file.
+        let kept = std::fs::read("/proc/self/exe");
+        let bytes = kept.or_else(|_| {
+            let at = std::env::current_exe().map_err(|e| Error::io("the running program", "find", e))?;
+            std::fs::read(&at).map_err(|e| Error::io(&at, "read", e))
+        })?;
         Ok(Self { version: env!("CARGO_PKG_VERSION").into(), hash: artifact::hash(&bytes) })
     }
 }

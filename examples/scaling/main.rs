@@ -142,6 +142,8 @@ fn report(
         "peak memory",
         "the plan's estimate",
     ];
+    let of = |windows: usize| others.iter().find(|m| m.case.windows == windows && m.case.window == 5);
+    let [one, many] = [1, 16].map(|windows| of(windows).map_or(f64::NAN, |m| m.step_ms));
     let case = |m: &Measured| {
         vec![m.case.windows.to_string(), m.case.window.to_string(), number(m.step_ms), readable(m.peak_bytes)]
     };
@@ -162,7 +164,7 @@ fn report(
          ![Time of a step]({stem}/time.svg)\n\n![Memory]({stem}/memory.svg)\n\n\
          The net's head has 256 weights for each of its outputs, three per vertex, and Adam holds each four times: 12 kB per vertex, most \
          of the memory and of the time of large garments. What does not fit is said by `caphy run CONFIG.toml --plan`.\n\n\
-         ## Windows and frames\n\nAt {} vertices. Frames are lanes: up to 16 windows cost hardly more than one.\n{}\n\
+         ## Windows and frames\n\nAt {} vertices. Frames are lanes: 16 windows cost {:.1} times one.\n{}\n\
          ## Scans\n\nPoses of so many scans, each with three points for each garment vertex, at most {} in a step.\n{}\n\
          ## Threads\n{}",
         one::STEPS,
@@ -172,6 +174,7 @@ fn report(
         exponents.join(", "),
         table(&head, &rows),
         others.first().map_or(0, |m| m.vertices),
+        many / one,
         table(&["windows", "frames each", "step, ms", "peak memory"], &others.iter().map(case).collect::<Vec<_>>()),
         scans.first().map_or(0, |m| m.case.windows),
         table(

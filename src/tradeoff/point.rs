@@ -4,13 +4,14 @@ use super::cost::{Stopwatch, load, peak_mib, reset_peak};
 use super::error::Errors;
 use super::knobs::{self, Acts, is_of_subject};
 use super::preprocessed::Preprocessed;
-use super::search::Method;
+use super::search::{Mesh, Method};
 use super::table::{Offer, Row, SolverRow};
 use super::yardstick::{Yardstick, scene_of, settings, solve};
 use super::{Tradeoff, begin};
 use crate::artifact;
 use crate::config::{AnimateConfig, Config, Setting};
 use crate::files::ProjectFiles;
+use crate::garment::FittedGarment;
 use crate::inference::{Play, Player, play};
 use crate::plugins::Plugins;
 use crate::runner::input_hashes;
@@ -20,6 +21,7 @@ use crate::stage::train::Nets;
 use crate::variants::anew;
 use caphy_core::{Error, Result};
 use caphy_garment::solver::SolverSettings;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -252,9 +254,10 @@ impl Bench<'_> {
     /// The solver as a way to animate: its time per frame and its error; and whether it was computed now.
     pub(super) fn solver(&self, method: &Method, yardstick: &Yardstick) -> Result<(SolverRow, bool)> {
         let base = knobs::Base { config: &self.sweep.config, own_rounds: 1, scans: None };
-        let set = match method.coarse {
-            true => knobs::coarsest(&base)?,
-            false => Vec::new(),
+        let set = match method.mesh {
+            Mesh::Coarse => knobs::coarsest(&base)?,
+            Mesh::Own => Vec::new(),
+            Mesh::Fine => knobs::finest(&base)?,
         };
         let name = self.subject_folder(&set)?;
         let (subject, hash) = self.read_subject(&name)?;
@@ -289,14 +292,11 @@ impl Bench<'_> {
         motion: usize,
     ) -> Result<(f64, [usize; 2], Errors)> {
         let (config, played) = (&self.sweep.config, &yardstick.motions[motion]);
-        let (mut errors, mut seconds, mut unconverged) = (Vec::new(), 0.0, [0; 2]);
-        for (index, garment) in subject.garments.iter().enumerate() {
-            let (frames, energy) = match method.tolerance_n {
+        let one = |(index, garment): (usize, &FittedGarment)| -> Result<(f64, [usize; 2], Errors)> {
+            let (frames, energy, seconds, unconverged) = match method.tolerance_n {
                 Some(tolerance) => {
                     let solved = solve(config, scene, garment, played, settings(config, tolerance), None)?;
-                    seconds += solved.spent.processor_s;
-                    unconverged.iter_mut().zip(solved.unconverged).for_each(|(sum, n)| *sum += n);
-                    (solved.frames, Some(solved.energy_j))
+                    (solved.frames, Some(solved.energy_j), solved.spent.processor_s, solved.unconverged)
                 }
                 None => {
                     let track = scene.track(played.judged())?;
@@ -308,12 +308,21 @@ impl Bench<'_> {
                         least = least.min(play.read().wall_s);
                     }
                     // Per simulated frame, as the others.
-                    seconds += least * played.simulated().len() as f64 / played.judged().len() as f64;
-                    (skinned, None)
+                    (skinned, None, least * played.simulated().len() as f64 / played.judged().len() as f64, [0; 2])
                 }
             };
-            errors.push(yardstick.judge(config, scene, garment, index, motion, &frames, energy)?);
-        }
+            let error = yardstick.judge(config, scene, garment, index, motion, &frames, energy)?;
+            Ok((seconds, unconverged, error))
+        };
+        // One after the other where they are timed.
+        let all: Vec<_> = match motion {
+            0 => subject.garments.iter().enumerate().map(one).collect(),
+            _ => subject.garments.par_iter().enumerate().map(one).collect(),
+        };
+        let all = all.into_iter().collect::<Result<Vec<_>>>()?;
+        let seconds: f64 = all.iter().map(|a| a.0).sum();
+        let unconverged = [0, 1].map(|k| all.iter().map(|a| a.1[k]).sum());
+        let errors: Vec<Errors> = all.into_iter().map(|a| a.2).collect();
         Ok((1e3 * seconds / played.simulated().len() as f64, unconverged, Errors::mean(&errors)))
     }
 }

@@ -4,25 +4,39 @@ use super::knobs::{Acts, Knob, Level};
 use super::table::{Results, Row};
 use crate::config::Setting;
 
+/// A template that the solver moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Mesh {
+    /// The coarsest of the sweep.
+    Coarse,
+    /// The experiment's own.
+    Own,
+    /// The finest of the sweep, which the yardstick has.
+    Fine,
+}
+
 /// A way to animate by the solver, without a net.
 #[derive(Debug)]
 pub(super) struct Method {
     pub(super) name: &'static str,
     /// Largest force left on a vertex [N]; none: no solver, skinning alone.
     pub(super) tolerance_n: Option<f64>,
-    /// On the coarse template of the sweep instead of the experiment's own.
-    pub(super) coarse: bool,
+    pub(super) mesh: Mesh,
     /// Whether budgets may take it: it is measured on the other motion, too.
     pub(super) offered: bool,
 }
 
+const fn method(name: &'static str, tolerance_n: Option<f64>, mesh: Mesh, offered: bool) -> Method {
+    Method { name, tolerance_n, mesh, offered }
+}
+
 /// The solver's knobs: tolerance and template.
 pub(super) const SOLVERS: &[Method] = &[
-    Method { name: "skinning alone", tolerance_n: None, coarse: false, offered: false },
-    Method { name: "1e-2 N, coarse template", tolerance_n: Some(1e-2), coarse: true, offered: true },
-    Method { name: "1e-2 N", tolerance_n: Some(1e-2), coarse: false, offered: true },
-    Method { name: "1e-3 N", tolerance_n: Some(1e-3), coarse: false, offered: false },
-    Method { name: "1e-5 N", tolerance_n: Some(1e-5), coarse: false, offered: false },
+    method("skinning alone", None, Mesh::Own, false),
+    method("1e-2 N, coarse template", Some(1e-2), Mesh::Coarse, true),
+    method("1e-1 N", Some(1e-1), Mesh::Own, false),
+    method("1e-2 N", Some(1e-2), Mesh::Own, true),
+    method("1e-2 N, fine template", Some(1e-2), Mesh::Fine, true),
 ];
 
 /// Where a walk leads.
