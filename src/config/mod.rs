@@ -613,7 +613,8 @@ pub struct AnimateConfig {
     #[serde(default = "ten_seconds")]
     pub seconds: f64,
     /// Simulate the garments instead of asking their nets: a thousand times the time, and what nets come near to. `{}` takes forces
-    /// down to 1e-2 N, some times the weight of a vertex, in at most 120 steps, which docs/trade.md finds as near as less. Default none: nets.
+    /// down to 1e-2 N, some times the weight of a vertex, in at most 120 steps, which docs/trade.md finds as near as less, with friction
+    /// of 0.3: without it a wide neck slides off a shoulder. Default none: nets.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "animating")]
     pub solver: Option<SolverSettings>,
     /// Push garment vertices that end up inside the body, or inside the garment below, out to this distance [m]; 0 leaves them.
@@ -628,7 +629,7 @@ pub struct AnimateConfig {
 impl AnimateConfig {
     /// What `solver = {}` means.
     pub(crate) fn solver_defaults() -> SolverSettings {
-        SolverSettings { tolerance_n: 1e-2, iterations: 120, ..SolverSettings::default() }
+        SolverSettings { tolerance_n: 1e-2, iterations: 120, friction: 0.3, ..SolverSettings::default() }
     }
 }
 

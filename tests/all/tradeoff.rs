@@ -90,7 +90,7 @@ fn knobs_are_swept_once_and_a_budget_chooses() {
     assert_eq!(offered.len(), 3, "{said}");
     for point in offered {
         let set = point["set"].as_array().expect("settings");
-        assert!(set.iter().any(|s| s == "animate.solver={}") && point["check_mm"].is_f64(), "{point}");
+        assert!(set.iter().any(|s| s == "animate.solver={ friction = 0.0 }") && point["check_mm"].is_f64(), "{point}");
     }
     let times = |row: &Value| row["measured"]["train_s"].as_f64().expect("a time");
     assert!(first["rows"].as_array().expect("rows").iter().all(|row| times(row) > 0.0));

@@ -2,7 +2,6 @@
 
 use super::Solver;
 use super::scene::Scene;
-use super::settings::out_of_bounds;
 use crate::energy::{
     Attachment, BodyState, EnergyTangent, Friction, Inertia, InertiaRule, Single, SingleBody, SingleTerm, State,
     Tangent, lane_points, nearest_body_vertices, square_distance,
@@ -117,11 +116,8 @@ impl<'a> Prepared<'a> {
             Some(past) => {
                 Error::check_length("positions one step ago", n, past.now.len())?;
                 Error::check_length("velocities one step ago", n, past.velocity.len())?;
-                if !(past.step > 0.0 && past.step.is_finite()) {
-                    return Err(out_of_bounds("time step", past.step, "s"));
-                }
-                let ahead: Vec<Vec3> = past.now.iter().zip(past.velocity).map(|(x, v)| x + v * past.step).collect();
                 let inertia = Inertia::<f64>::new(&solver.rest, past.step, InertiaRule::KnownVelocity)?;
+                let ahead: Vec<Vec3> = past.now.iter().zip(past.velocity).map(|(x, v)| x + v * past.step).collect();
                 Some((inertia.next_step()?, flat(&ahead)))
             }
             None => None,
