@@ -33,6 +33,7 @@ pub mod probe;
 pub mod progress;
 pub mod quality;
 mod random;
+pub mod registered;
 pub mod runner;
 pub mod scene;
 pub mod show;

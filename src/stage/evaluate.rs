@@ -13,6 +13,7 @@ use crate::physics::{Physics, solver_forces};
 use crate::pictures::{self, Dressed};
 use crate::plot::number;
 use crate::quality::{Spectrum, SpectrumFilter};
+use crate::registered::{BodyError, body_error, joint_error, true_body};
 use crate::scene::{Scene, scan_frames};
 use crate::simulate::{SimulationOptions, Steps, simulate_layers};
 use crate::synth::Truth;
@@ -22,7 +23,6 @@ use caphy_core::lanes::Frames;
 use caphy_core::material::MaterialModel;
 use caphy_core::pose::{Pose, SMPLX_JOINTS};
 use caphy_core::query::NearestGrid;
-use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3, mesh};
 use caphy_formats::npz::Npz;
 use caphy_garment::energy::LayeringOrder;
@@ -75,17 +75,6 @@ pub struct ScanScore {
     pub body_error: Option<BodyError>,
     /// Share of vertices whose fused label is the stored one.
     pub label_agreement: Option<f64>,
-}
-
-/// Distances of the fitted body's vertices from the true ones, in one scan's pose [mm].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct BodyError {
-    /// Median and 95th percentile where the scan shows skin.
-    pub skin_mm: [f64; 2],
-    /// The same under clothes.
-    pub covered_mm: [f64; 2],
-    /// Mean along the true normal on skin and under clothes: above 0 the fitted body is the fatter one.
-    pub outward_mm: [f64; 2],
 }
 
 /// One garment in one scan's pose.
@@ -335,7 +324,7 @@ pub fn run(
                 held_out: scan.held_out,
                 garments: Vec::new(),
                 joint_error_mm: truth.map(|t| joint_error(&fitted.joints, &t)),
-                body_error: body_error(&scene, scans, scan, &fitted.vertices)?,
+                body_error: body_error_of(&scene, scans, scan, &fitted.vertices)?,
                 label_agreement: scan.label_agreement,
             })
         })
@@ -467,36 +456,11 @@ fn true_index(scans: &Scans, name: &str) -> Option<usize> {
     scans.list.iter().position(|file| file.name == name)
 }
 
-/// The true body in a scan's pose [m].
-fn true_body(scene: &Scene, truth: &Truth, index: usize) -> Result<Vec<Vec3>> {
-    let mut person = scene.body.rest(&truth.shape);
-    person.displacement.clone_from(&truth.displacement);
-    Ok(scene.body.forward(&person.posed(&truth.poses[index]))?.vertices)
-}
-
 /// The fitted body's vertices [m] against the true ones, where those are known.
-fn body_error(scene: &Scene, scans: &Scans, scan: &SubjectScan, fitted: &[Vec3]) -> Result<Option<BodyError>> {
+fn body_error_of(scene: &Scene, scans: &Scans, scan: &SubjectScan, fitted: &[Vec3]) -> Result<Option<BodyError>> {
     let (Some(truth), Some(index)) = (&scans.truth, true_index(scans, &scan.name)) else { return Ok(None) };
-    let real = true_body(scene, truth, index)?;
-    let normals = mesh::vertex_normals(&real, &scene.rest.faces);
-    let points = NearestGrid::from_points(&scan.points.points);
-    let (mut errors, mut outward) = ([Vec::new(), Vec::new()], [0.0; 2]);
-    for (v, p) in real.iter().enumerate() {
-        let Some((near, _)) = points.nearest_point(p) else { continue };
-        let covered = match scan.points.labels[near as usize] {
-            Label::Body => 0,
-            Label::Upper | Label::Lower => 1,
-            Label::Ignore => continue,
-        };
-        errors[covered].push(1e3 * (fitted[v] - p).norm());
-        outward[covered] += 1e3 * (fitted[v] - p).dot(&normals[v]);
-    }
-    let counts = errors.each_ref().map(|e| e.len().max(1) as f64);
-    let [skin_mm, covered_mm] = errors.map(|mut e| {
-        e.sort_by(f64::total_cmp);
-        [0.5, 0.95].map(|q| e.get((q * e.len().saturating_sub(1) as f64).round() as usize).copied().unwrap_or(0.0))
-    });
-    Ok(Some(BodyError { skin_mm, covered_mm, outward_mm: [outward[0] / counts[0], outward[1] / counts[1]] }))
+    let real = true_body(&*scene.body, truth, index)?;
+    Ok(Some(body_error(fitted, &real, &scene.rest.faces, &scan.points)?))
 }
 
 /// The true garment against the scan of it.
@@ -508,7 +472,7 @@ fn true_fit(
     compared: &ScanGarment<'_>,
 ) -> Result<Option<Fit>> {
     let Some(own) = truth.garments.iter().position(|g| g.kind == compared.kind()) else { return Ok(None) };
-    let body = of_mesh(&true_body(scene, truth, scan)?, &scene.rest);
+    let body = of_mesh(&true_body(&*scene.body, truth, scan)?, &scene.rest);
     let garments = truth.garments.iter().map(|g| of_mesh(&g.at_rest[scan], &g.template)).collect();
     let figure = Dressed { body: &body, garments };
     let visible = shown(&figure.garments[own].vertices, compared.kind(), &points.points);
@@ -634,15 +598,6 @@ fn true_joints(context: &Context<'_>, subject: &Subject, scans: &Scans) -> Resul
             Ok(Some(joints.data.chunks_exact(3).map(Vec3::from_column_slice).collect()))
         })
         .collect()
-}
-
-/// Median and largest distance over the joints that are known [mm].
-fn joint_error(fitted: &[Vec3], truth: &[Vec3]) -> [f64; 2] {
-    let mut distances: Vec<f64> =
-        fitted.iter().zip(truth).map(|(a, b)| (a - b).norm() * 1e3).filter(|d| d.is_finite()).collect();
-    distances.sort_by(f64::total_cmp);
-    let median = distances.get(distances.len() / 2).copied().unwrap_or(f64::NAN);
-    [median, distances.last().copied().unwrap_or(f64::NAN)]
 }
 
 /// Share of upper vertices inside the lower garment over the training scans' poses, before and after fine-tuning.

@@ -5,7 +5,7 @@ use crate::config::{RigConfig, Texture};
 use crate::random::{normal, uniform};
 use crate::scene::label_of;
 use caphy_core::pose::Pose;
-use caphy_core::query::{NearestGrid, NearestSurface, boundary_loops};
+use caphy_core::query::{NearestSurface, PseudoNormals};
 use caphy_core::scan::{Label, Scan};
 use caphy_core::{Result, TriMesh, Vec3, mesh};
 use caphy_garment::template::BodyRest;
@@ -23,11 +23,12 @@ pub struct Scanned {
     pub joints: Vec<Vec3>,
 }
 
-/// What is under cloth gives way by this [m]: contact holds off the cloth's vertices, and skin would show through the triangles
-/// between them. It is not seen anyway.
+/// What is under cloth gives way until it is this deep [m], by at most so much: contact holds off the cloth's vertices, and skin would
+/// show through the triangles between them. No more than that, since cameras look into sleeves and trouser legs.
+const DEPTH: f64 = 3e-3;
 const GIVES_WAY: f64 = 8e-3;
-/// From a garment's border inwards over this distance [m].
-const BORDER: f64 = 0.03;
+/// Beside a garment's border skin gives way less and less, over this distance [m]: its own triangles reach over the border.
+const BESIDE: f64 = 0.012;
 /// Skin is under cloth that is nearer than this [m].
 const UNDER: f64 = 0.06;
 
@@ -76,17 +77,19 @@ pub fn scan(
 /// Moves what lies under cloth inwards.
 fn give_way(inner: &mut TriMesh, cloth: &TriMesh) -> Result<()> {
     let surface = NearestSurface::from_mesh(cloth)?;
-    let border: Vec<Vec3> =
-        boundary_loops(&cloth.faces).into_iter().flatten().map(|v| cloth.vertices[v as usize]).collect();
-    let grid = NearestGrid::from_points(&border);
+    let cloth_normals = PseudoNormals::new(&cloth.vertices, &cloth.faces);
     let normals = inner.vertex_normals();
     for (p, n) in inner.vertices.iter_mut().zip(&normals) {
         let Some(found) = surface.nearest_within(p, UNDER * UNDER) else { continue };
-        let near = found.squared_distance.sqrt();
-        let edge = grid.nearest_point(p).map_or(f64::INFINITY, |(_, square)| square.sqrt());
-        // Beside a garment its nearest point is the border itself.
-        let share = ((edge - near) / BORDER).clamp(0.0, 1.0);
-        *p -= n * (GIVES_WAY * share);
+        let up = cloth_normals.at(&found).try_normalize(0.0).unwrap_or(*n);
+        let above = up.dot(&(*p - found.point));
+        // A hand that touches trousers is not under them.
+        if above > GIVES_WAY || up.dot(n) < 0.0 {
+            continue;
+        }
+        let beside = (found.squared_distance - above * above).max(0.0).sqrt();
+        let share = (1.0 - beside / BESIDE).max(0.0);
+        *p -= n * ((above + DEPTH).clamp(0.0, GIVES_WAY) * share);
     }
     Ok(())
 }

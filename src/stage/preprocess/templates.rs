@@ -18,8 +18,8 @@ use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::{
-    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, Worn, choose_template,
-    pose_by_nearest_vertex, refine, templates,
+    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, Worn, at_resolution,
+    choose_template, pose_by_nearest_vertex, refine, templates,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -163,10 +163,11 @@ impl<'a> Choosing<'a> {
         let (best, vertices) = (&candidates[order[sampled.index]], worn[sampled.index].clone());
         let start = Worn { template: best.clone(), vertices };
         let edges = thin(&self.edges(kind, covered), EDGE_POINTS);
-        let seen = Seen { points: &points, edges: &edges };
+        let seen = Seen { points: &points, edges: &edges, covered_by: &cover };
         let refined = refine(&*source, tailor, start, CANDIDATE_RESOLUTION, seen, wear)?;
         let after = choose_template(std::slice::from_ref(&refined.worn), &points, &options)?;
-        let template = source.template(tailor, &refined.style, settings.resolution_m)?;
+        let (_, template) =
+            at_resolution(&*source, tailor, &refined.style, CANDIDATE_RESOLUTION, settings.resolution_m)?;
         let choice = TemplateChoice {
             kind,
             scan: self.standard.name.clone(),

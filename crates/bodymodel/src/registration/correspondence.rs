@@ -1,5 +1,6 @@
 //! Nearest points whose normals agree, and evenly spread samples.
 
+use super::solve::Level;
 use caphy_core::Vec3;
 use caphy_core::query::NearestGrid;
 
@@ -117,6 +118,31 @@ pub(super) fn spread(points: &[Vec3], count: usize) -> Vec<u32> {
         }
     }
     best
+}
+
+/// Ids spread evenly over a surface: a few for the way, many for its end.
+#[derive(Debug, Clone)]
+pub(super) struct Samples {
+    few: Vec<u32>,
+    pub(super) many: Vec<u32>,
+}
+
+/// A third of the samples finds the way.
+const FEW: usize = 3;
+
+impl Samples {
+    pub(super) fn new(points: &[Vec3], count: usize) -> Self {
+        Self { few: spread(points, count.div_ceil(FEW)), many: spread(points, count) }
+    }
+    /// The same samples of a list whose entries are themselves ids.
+    pub(super) fn of(self, ids: &[u32]) -> Self {
+        let of = |list: Vec<u32>| list.into_iter().map(|i| ids[i as usize]).collect();
+        Self { few: of(self.few), many: of(self.many) }
+    }
+    /// Those that carry residuals at a level.
+    pub(super) fn at(&self, level: &Level) -> &[u32] {
+        if level.fineness < 1.0 { &self.few } else { &self.many }
+    }
 }
 
 #[cfg(test)]

@@ -2,19 +2,25 @@
 //!
 //! dT moves along the normals of the T-posed surface by a smooth height field h that minimises
 //! ∫ Σ_scans w (h - t)²/σ_skin² + (h² + ℓ²|∇h|²)/σ_dT² dA, with t the wanted height where bare skin lies on a scan or
-//! where skin sticks out of cloth. Skin inside cloth wants nothing.
+//! where skin sticks out of cloth. Skin inside cloth wants nothing, but where cloth comes near in some of the poses it is taken to touch.
 
 use super::correspondence::NormalIndex;
-use super::solve::{Level, Problem, ScanData, State, pose_body, pulls};
-use caphy_core::body::BodyParameters;
+use super::rows::{Pull, pulls, robust};
+use super::settings::RegistrationSettings;
+use super::solve::{Level, Problem, ScanData, State, pose_body};
 use caphy_core::pose::Pose;
 use caphy_core::query::Adjacency;
 use caphy_core::scan::Label;
-use caphy_core::{Result, TriMesh, Vec3, mesh};
+use caphy_core::{Result, TriMesh, Vec3};
 use rayon::prelude::*;
 
-/// Farthest partner, in robust scales.
+/// Farthest partner, in robust scales or greatest depths of cloth.
 const REACH: f64 = 1.5;
+
+/// How far partners may be [m].
+fn reach(settings: &RegistrationSettings, level: &Level) -> f64 {
+    REACH * level.scale.max(settings.cloth_depth_max)
+}
 /// Conjugate gradients stop when the residual has fallen this far, or after this many steps.
 const TOLERANCE: f64 = 1e-8;
 const STEPS_MAX: usize = 400;
@@ -30,32 +36,19 @@ pub(super) fn displace(problem: &Problem, scans: &[&ScanData], state: &State, le
     if settings.displacement_sigma <= 0.0 {
         return Ok(vec![Vec3::zeros(); n]);
     }
-    // Weight and weighted height per vertex and scan.
-    let wishes: Vec<Vec<[f64; 2]>> = scans
+    let (rest, normals) = pose_body(problem.body, &state.shape, &Pose::rest(description.joints.len()), &[])?;
+    let heights: Vec<f64> = match &state.displacement[..] {
+        [] => vec![0.0; n],
+        known => known.iter().zip(&normals).map(|(d, n)| d.dot(n)).collect(),
+    };
+    let told: Vec<Vec<Told>> = scans
         .par_iter()
         .zip(&state.poses)
         .map(|(scan, pose)| {
-            let (posed, normals) = pose_body(problem.body, &state.shape, pose)?;
-            Ok((0..n)
-                .map(|v| {
-                    let (x, normal) = (posed.vertices[v], normals[v]);
-                    let Some((id, d)) = scan.index.nearest(&x, &normal, REACH * level.scale) else { return [0.0; 2] };
-                    let r = scan.index.normal(id).dot(&(x - scan.index.point(id)));
-                    let label = scan.labels[id];
-                    if label != Label::Body && r <= 0.0 {
-                        return [0.0; 2];
-                    }
-                    // Only the bound speaks here, not the expected ease.
-                    let weight = pulls(settings, level, label, r, d)
-                        .iter()
-                        .find(|p| p.target == 0.0 && p.weight > 0.0)
-                        .map_or(0.0, |p| p.weight);
-                    [weight, -weight * r]
-                })
-                .collect())
+            let (posed, normals) = pose_body(problem.body, &state.shape, pose, &state.displacement)?;
+            Ok((0..n).map(|v| tell(settings, scan, level, posed.vertices[v], normals[v])).collect())
         })
         .collect::<Result<_>>()?;
-    let (rest, normals) = pose_body(problem.body, &state.shape, &Pose::rest(description.joints.len()))?;
     let surface = TriMesh { vertices: rest.vertices, faces: description.faces.clone() };
     let areas = surface.vertex_areas();
     let adjacency = Adjacency::new(n, &surface.faces);
@@ -64,9 +57,20 @@ pub(super) fn displace(problem: &Problem, scans: &[&ScanData], state: &State, le
     let mut diagonal = vec![0.0; n];
     let mut right = vec![0.0; n];
     for v in 0..n {
-        let [w, wt] = wishes.iter().fold([0.0; 2], |s, scan| [s[0] + scan[v][0], s[1] + scan[v][1]]);
-        diagonal[v] = areas[v] * (stiffness + w) + edge * adjacency.of(v).len() as f64;
-        right[v] = areas[v] * wt;
+        // What lacks at the height that is there already.
+        let (mut weight, mut lacks, mut depths) = (0.0, 0.0, Vec::new());
+        for scan in &told {
+            match scan[v] {
+                Told::Nothing => {}
+                Told::Height { weight: w, lack } => (weight, lacks) = (weight + w, lacks + w * lack),
+                Told::Depth(depth) => depths.push(depth),
+            }
+        }
+        if let Some(pull) = touching(settings, &mut depths) {
+            (weight, lacks) = (weight + pull.weight, lacks + pull.weight * pull.target);
+        }
+        diagonal[v] = areas[v] * (stiffness + weight) + edge * adjacency.of(v).len() as f64;
+        right[v] = areas[v] * (lacks + weight * heights[v]);
     }
     let apply = |x: &[f64], out: &mut [f64]| {
         for v in 0..n {
@@ -75,6 +79,47 @@ pub(super) fn displace(problem: &Problem, scans: &[&ScanData], state: &State, le
     };
     let height = conjugate_gradients(&apply, &diagonal, &right);
     Ok(normals.iter().zip(height).map(|(n, h)| n * h).collect())
+}
+
+/// What one scan says of one vertex.
+#[derive(Debug, Clone, Copy)]
+enum Told {
+    Nothing,
+    /// It should be higher by `lack` [m], with a weight [1/m²].
+    Height {
+        weight: f64,
+        lack: f64,
+    },
+    /// It lies under cloth at this depth [m].
+    Depth(f64),
+}
+
+fn tell(settings: &RegistrationSettings, scan: &ScanData, level: &Level, x: Vec3, normal: Vec3) -> Told {
+    let Some((id, d)) = scan.index.nearest(&x, &normal, reach(settings, level)) else { return Told::Nothing };
+    let r = scan.index.normal(id).dot(&(x - scan.index.point(id)));
+    let label = scan.labels[id];
+    if label != Label::Body && r <= 0.0 {
+        return Told::Depth(-r);
+    }
+    // Only the bound speaks here, not the expected ease.
+    let bound = pulls(settings, level, label, r, d).into_iter().find(|p| p.target == 0.0 && p.weight > 0.0);
+    bound.map_or(Told::Nothing, |p| Told::Height { weight: p.weight, lack: -r })
+}
+
+/// Share of the scans in which cloth may come nearer than where it touches: poses are not exact.
+const NEARER: f64 = 0.2;
+
+/// How much higher a covered vertex should be, by its depths in all scans [m]: over many poses cloth comes to lie on nearly all skin, so that
+/// where it comes near it is taken to touch. (The minimal clothing of Zhang et al. 2017 is seen in the same way.) Cloth that stays far
+/// away says little, and one scan alone nothing.
+fn touching(settings: &RegistrationSettings, depths: &mut [f64]) -> Option<Pull> {
+    depths.sort_by(f64::total_cmp);
+    if depths.len() < 2 {
+        return None;
+    }
+    let lack = depths[(NEARER * depths.len() as f64) as usize] - settings.contact_gap;
+    let weight = robust(lack, settings.contact_reach) / settings.contact_sigma.powi(2);
+    (lack > 0.0).then_some(Pull { target: lack, weight })
 }
 
 /// Solves A x = b for a symmetric positive matrix with a positive diagonal as preconditioner (0/0 rows stay 0).
@@ -127,26 +172,12 @@ pub(super) struct Fit {
 const INSIDE_TOLERANCE: f64 = 0.002;
 
 /// Measures the fit of one scan with its displacements.
-pub(super) fn measure(
-    problem: &Problem,
-    scan: &ScanData,
-    state: &State,
-    which: usize,
-    displacement: &[Vec3],
-    level: &Level,
-) -> Result<Fit> {
+pub(super) fn measure(problem: &Problem, scan: &ScanData, state: &State, which: usize, level: &Level) -> Result<Fit> {
     let pose = &state.poses[which];
-    let posed = problem.body.forward(&BodyParameters {
-        shape: state.shape.clone(),
-        rotations: pose.rotations.clone(),
-        translation: pose.translation,
-        displacement: displacement.to_vec(),
-        ..BodyParameters::default()
-    })?;
-    let normals = mesh::vertex_normals(&posed.vertices, &problem.body.describe().faces);
+    let (posed, normals) = pose_body(problem.body, &state.shape, pose, &state.displacement)?;
     let body = NormalIndex::new(&posed.vertices, &normals, problem.settings.normal_angle_max, |_| true);
     let (mut skin, mut found, mut squares) = (0usize, 0usize, 0.0);
-    for &id in scan.samples.iter().filter(|&&id| scan.labels[id as usize] == Label::Body) {
+    for &id in scan.samples.many.iter().filter(|&&id| scan.labels[id as usize] == Label::Body) {
         let (p, n) = (scan.index.point(id as usize), scan.index.normal(id as usize));
         skin += 1;
         if let Some((v, _)) = body.nearest(&p, &n, level.scale) {
@@ -155,9 +186,9 @@ pub(super) fn measure(
         }
     }
     let mut depths = Vec::new();
-    for &v in problem.samples {
+    for &v in &problem.samples.many {
         let x = posed.vertices[v as usize];
-        if let Some((id, _)) = scan.index.nearest(&x, &normals[v as usize], REACH * level.scale)
+        if let Some((id, _)) = scan.index.nearest(&x, &normals[v as usize], reach(problem.settings, level))
             && scan.labels[id] != Label::Body
         {
             depths.push(-scan.index.normal(id).dot(&(x - scan.index.point(id))));

@@ -6,7 +6,8 @@
 //! point whose normal is compatible; residuals are distances along the scan's normal with Geman-McClure weights whose
 //! scale shrinks. Priors hold the pose (knees and elbows bend one way) and the shape (N(0, 1)). Gauss-Newton steps
 //! with the body's own Jacobian solve all poses and the shared shape together: the arrow-shaped system by Schur's
-//! complement. The start is a coarse search over heading, position, arms and legs, whose best poses are tried before
+//! complement. What no shape explains, dT takes up: in the last third of the iterations a smooth field is found in turn
+//! with them. The start is a coarse search over heading, position, arms and legs, whose best poses are tried before
 //! one is kept.
 //!
 //! Nothing here assumes SMPL-X but the joint names that choose priors and limbs; joints of other names get defaults.
@@ -17,6 +18,7 @@
 mod correspondence;
 mod displacement;
 mod prior;
+mod rows;
 mod settings;
 mod solve;
 mod start;
@@ -28,8 +30,10 @@ use caphy_core::pose::Pose;
 use caphy_core::scan::LabelledPoints;
 use caphy_core::{Error, Result, Vec3};
 use caphy_formats::motion::UpAxis;
+use correspondence::Samples;
 use prior::Group;
 use rayon::prelude::*;
+use rows::Fans;
 use serde::{Deserialize, Serialize};
 use solve::{Level, Problem, ScanData, State, TRIAL_END};
 
@@ -162,7 +166,8 @@ pub fn register(
 struct Prepared<'a> {
     shape_count: usize,
     data: Vec<ScanData<'a>>,
-    samples: Vec<u32>,
+    samples: Samples,
+    fans: Fans,
     priors: Vec<prior::JointPrior>,
 }
 
@@ -180,16 +185,17 @@ impl<'a> Prepared<'a> {
             }
         }
         let shape_count = settings.shape_coefficients.min(description.shape_count);
-        let (rest, _) = solve::pose_body(body, &vec![0.0; shape_count], &Pose::rest(joint_count))?;
+        let (rest, _) = solve::pose_body(body, &vec![0.0; shape_count], &Pose::rest(joint_count), &[])?;
         Ok(Self {
             shape_count,
             data: scans.par_iter().map(|s| solve::prepare(s.name, s.points, settings)).collect::<Result<_>>()?,
-            samples: correspondence::spread(&rest.vertices, settings.sample_vertices),
+            samples: Samples::new(&rest.vertices, settings.sample_vertices),
+            fans: Fans::new(description.vertex_count, &description.faces),
             priors: prior::joint_priors(description),
         })
     }
     fn problem<'b>(&'b self, body: &'b dyn BodyModel, settings: &'b RegistrationSettings) -> Problem<'b> {
-        Problem { body, settings, priors: &self.priors, samples: &self.samples }
+        Problem { body, settings, priors: &self.priors, samples: &self.samples, fans: &self.fans }
     }
 }
 
@@ -213,7 +219,11 @@ pub fn register_from(
         Error::check_length(&format!("start pose of scan `{}`", scan.name), joints, start.pose.rotations.len())?;
         Error::check_length(&format!("start shape of scan `{}`", scan.name), shape_count, start.shape.len())?;
     }
-    let mut state = State { shape: vec![0.0; shape_count], poses: starts.iter().map(|s| s.pose.clone()).collect() };
+    let mut state = State {
+        shape: vec![0.0; shape_count],
+        poses: starts.iter().map(|s| s.pose.clone()).collect(),
+        displacement: Vec::new(),
+    };
     // People differ in height: the mean of what each start found.
     for start in starts {
         for (s, v) in state.shape.iter_mut().zip(&start.shape) {
@@ -223,24 +233,33 @@ pub fn register_from(
     let all: Vec<&ScanData> = data.iter().collect();
     let mut last = vec![0.0; scans.len()];
     let mut iterations = 0;
-    while iterations < settings.iterations {
-        // Two thirds refine from where the trials ended, the last third only converges.
-        let x = (TRIAL_END + (1.0 - TRIAL_END) * 1.5 * iterations as f64 / settings.iterations as f64).min(1.0);
-        last = solve::step(&problem, &all, &mut state, &Level::at(settings, x, Group::End, true))?;
+    // Two thirds refine from where the trials ended. The last third lets pose, shape and dT come to terms: shape and pose had taken up
+    // what dT explains.
+    let refining = settings.iterations * 2 / 3;
+    let fine = Level::at(settings, 1.0, Group::End, true);
+    for i in 0..settings.iterations {
+        let level = if i < refining {
+            let x = TRIAL_END + (1.0 - TRIAL_END) * i as f64 / refining as f64;
+            Level::at(settings, x, Group::End, true)
+        } else {
+            state.displacement = displacement::displace(&problem, &all, &state, &fine)?;
+            fine
+        };
+        last = solve::step(&problem, &all, &mut state, &level)?;
         iterations += 1;
-        progress(0.8 * iterations as f64 / settings.iterations as f64);
-        if x == 1.0 && last.iter().all(|&step| step < CONVERGED) {
+        progress(0.95 * iterations as f64 / settings.iterations as f64);
+        let still = i >= refining && last.iter().all(|&step| step < CONVERGED);
+        if still && settings.displacement_sigma <= 0.0 {
             break;
         }
     }
-    let fine = Level::at(settings, 1.0, Group::End, true);
-    let displacement = displacement::displace(&problem, &all, &state, &fine)?;
+    state.displacement = displacement::displace(&problem, &all, &state, &fine)?;
     let report = scans
         .par_iter()
         .zip(data)
         .enumerate()
         .map(|(i, (scan, data))| {
-            let fit = displacement::measure(&problem, data, &state, i, &displacement, &fine)?;
+            let fit = displacement::measure(&problem, data, &state, i, &fine)?;
             Ok(ScanFit {
                 name: scan.name.to_owned(),
                 skin_rms_mm: 1e3 * fit.skin_rms,
@@ -253,7 +272,7 @@ pub fn register_from(
         })
         .collect::<Result<_>>()?;
     progress(1.0);
-    Ok(Registration { shape: state.shape, poses: state.poses, displacement, report })
+    Ok(Registration { shape: state.shape, poses: state.poses, displacement: state.displacement, report })
 }
 
 /// Steps below this [rad or m] are not worth another iteration: 0.3 mm at the end of an arm.
@@ -264,7 +283,7 @@ fn try_starts(problem: &Problem, scan: &ScanData, shape: &[f64], candidates: Vec
     let count = problem.settings.start_iterations;
     let mut best: Option<(f64, State)> = None;
     for pose in candidates {
-        let mut state = State { shape: shape.to_vec(), poses: vec![pose] };
+        let mut state = State { shape: shape.to_vec(), poses: vec![pose], displacement: Vec::new() };
         for i in 0..count {
             let x = TRIAL_END * i as f64 / count as f64;
             let group = if i < 2 { Group::Root } else { Group::End };

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RegistrationSettings {
-    /// Gauss-Newton iterations of the last, joint stage (default 36; the fit stands still after about 25).
+    /// Gauss-Newton iterations of the joint stage (default 36): two thirds go from coarse to fine, in the last third dT is found in turn
+    /// with pose and shape.
     pub iterations: usize,
     /// Iterations with which every start pose of the search is tried before the best one is kept (default 10).
     pub start_iterations: usize,
@@ -15,7 +16,8 @@ pub struct RegistrationSettings {
     pub start_trials: usize,
     /// Headings that the search starts from, evenly around the vertical (default 4; 1 when all scans face +z).
     pub start_headings: usize,
-    /// Points of the scan, and vertices of the body, that carry residuals (default 3000: 2.5 cm apart on an adult).
+    /// Points of the scan, and vertices of the body, that carry residuals at the end (default 6000: 1.8 cm apart on an adult); a third of
+    /// them before.
     pub sample_vertices: usize,
     /// Shape coefficients that are fitted; fewer when the body has fewer (default 10).
     pub shape_coefficients: usize,
@@ -37,9 +39,16 @@ pub struct RegistrationSettings {
     pub cloth_depth_max: f64,
     /// Standard deviation of skin deeper than that [m] (default 60 mm: folds and hems do lie deeper).
     pub cloth_deep_sigma: f64,
+    /// Depth of the skin under cloth that touches it [m] (default 3 mm: cloth and the scan's roughness). Where cloth comes to lie on
+    /// the skin in some of the poses, dT moves the skin there.
+    pub contact_gap: f64,
+    /// Standard deviation of that depth [m] (default 5 mm).
+    pub contact_sigma: f64,
+    /// Cloth that stays farther from touching than this in all scans hardly says where the skin is [m] (default 6 mm).
+    pub contact_reach: f64,
     /// Robust scale (Geman-McClure) of the first iteration [m] (default 0.15: a limb's width away still pulls).
     pub robust_start: f64,
-    /// Robust scale of the last iterations [m] (default 0.03: hair, bags and holes stop pulling).
+    /// Robust scale of the last iterations [m] (default 0.012: hair, bags, hems and holes stop pulling).
     pub robust_end: f64,
     /// Largest angle between the normals of corresponding points [rad] (default 1.2: 70°).
     pub normal_angle_max: f64,
@@ -60,7 +69,7 @@ impl Default for RegistrationSettings {
             start_iterations: 10,
             start_trials: 3,
             start_headings: 4,
-            sample_vertices: 3000,
+            sample_vertices: 6000,
             shape_coefficients: 10,
             evidence: 150.0,
             skin_sigma: 0.004,
@@ -69,8 +78,11 @@ impl Default for RegistrationSettings {
             cloth_ease_sigma: 0.1,
             cloth_depth_max: 0.03,
             cloth_deep_sigma: 0.06,
+            contact_gap: 0.003,
+            contact_sigma: 0.005,
+            contact_reach: 0.006,
             robust_start: 0.15,
-            robust_end: 0.03,
+            robust_end: 0.012,
             normal_angle_max: 1.2,
             pose_prior_scale: 1.0,
             shape_prior_scale: 1.0,
@@ -103,6 +115,8 @@ impl RegistrationSettings {
             ("outside_sigma", self.outside_sigma),
             ("cloth_ease_sigma", self.cloth_ease_sigma),
             ("cloth_deep_sigma", self.cloth_deep_sigma),
+            ("contact_sigma", self.contact_sigma),
+            ("contact_reach", self.contact_reach),
             ("robust_start", self.robust_start),
             ("robust_end", self.robust_end),
             ("normal_angle_max", self.normal_angle_max),
@@ -123,6 +137,7 @@ impl RegistrationSettings {
             ("cloth_ease", self.cloth_ease),
             ("cloth_depth_max", self.cloth_depth_max),
             ("displacement_sigma", self.displacement_sigma),
+            ("contact_gap", self.contact_gap),
         ];
         for (key, value) in not_negative {
             if !(value.is_finite() && value >= 0.0) {

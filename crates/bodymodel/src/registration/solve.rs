@@ -1,13 +1,14 @@
 //! One Gauss-Newton step of all scans: correspondences, residuals, priors, and the arrow system of poses and one shape.
 
-use super::correspondence::NormalIndex;
+use super::correspondence::{NormalIndex, Samples};
 use super::prior::{Group, HINGE_SD, JointPrior};
+use super::rows::{Fans, Rows};
 use super::settings::RegistrationSettings;
 use caphy_core::body::{BodyModel, BodyParameters, PosedBody};
 use caphy_core::pose::Pose;
 use caphy_core::scan::{Label, LabelledPoints};
 use caphy_core::{Error, Result, Vec3, mesh};
-use nalgebra::{DMatrix, DVector, Matrix3};
+use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 /// A scan prepared for searching.
@@ -16,7 +17,7 @@ pub(super) struct ScanData<'a> {
     pub(super) labels: &'a [Label],
     pub(super) index: NormalIndex<'a>,
     /// Points that look for the body.
-    pub(super) samples: Vec<u32>,
+    pub(super) samples: Samples,
 }
 
 /// What stays the same over the iterations.
@@ -25,7 +26,8 @@ pub(super) struct Problem<'a> {
     pub(super) settings: &'a RegistrationSettings,
     pub(super) priors: &'a [JointPrior],
     /// Vertices that look for the scans.
-    pub(super) samples: &'a [u32],
+    pub(super) samples: &'a Samples,
+    pub(super) fans: &'a Fans,
 }
 
 /// The unknowns.
@@ -33,6 +35,8 @@ pub(super) struct Problem<'a> {
 pub(super) struct State {
     pub(super) shape: Vec<f64>,
     pub(super) poses: Vec<Pose>,
+    /// dT of the T-posed surface [m]; none until it is known.
+    pub(super) displacement: Vec<Vec3>,
 }
 
 /// Where in the coarse-to-fine schedule an iteration stands.
@@ -56,165 +60,8 @@ impl Level {
     }
 }
 
-/// What one pair says: the distance along the scan's normal should be `target`, with a weight.
-pub(super) struct Pull {
-    /// Wanted n·(v - p) [m]; negative is inside.
-    pub(super) target: f64,
-    /// 1/σ² [1/m²], robust weight included.
-    pub(super) weight: f64,
-}
-
-/// The residuals of a vertex at signed distance `r` = n·(v - p) and distance `d` [m] from a scan point.
-///
-/// Skin is attracted. Cloth holds the body inside: outside it, a stiff pull to the surface; deeper than allowed, a
-/// weak pull to that depth; in between only the expected ease, which is weak too.
-pub(super) fn pulls(settings: &RegistrationSettings, level: &Level, label: Label, r: f64, d: f64) -> [Pull; 2] {
-    let none = || Pull { target: 0.0, weight: 0.0 };
-    // Far from the solution cloth says as clearly as skin where a limb is.
-    let blend = |fine: f64| settings.skin_sigma.powf(1.0 - level.fineness) * fine.powf(level.fineness);
-    match label {
-        Label::Ignore => [none(), none()],
-        Label::Body => [Pull { target: 0.0, weight: robust(d, level.scale) / settings.skin_sigma.powi(2) }, none()],
-        Label::Upper | Label::Lower => {
-            let w = robust((d - settings.cloth_depth_max).max(0.0), level.scale);
-            let ease = Pull { target: -settings.cloth_ease, weight: w / blend(settings.cloth_ease_sigma).powi(2) };
-            let bound = if r > 0.0 {
-                Pull { target: 0.0, weight: w / settings.outside_sigma.powi(2) }
-            } else if r < -settings.cloth_depth_max {
-                Pull { target: -settings.cloth_depth_max, weight: w / blend(settings.cloth_deep_sigma).powi(2) }
-            } else {
-                none()
-            };
-            [ease, bound]
-        }
-    }
-}
-
-/// Geman-McClure weight of a residual [m] at a scale [m].
-fn robust(d: f64, scale: f64) -> f64 {
-    let s = scale * scale;
-    (s / (s + d * d)).powi(2)
-}
-
-/// A sum of quadratics in the displacements of single vertices: Σ ½ δᵀMδ + bᵀδ.
-///
-/// Pairs are many, vertices fewer: summing per vertex first keeps the Jacobian small.
-struct VertexQuadratics {
-    slot_of: Vec<u32>,
-    vertices: Vec<u32>,
-    matrices: Vec<Matrix3<f64>>,
-    vectors: Vec<Vec3>,
-    cost: f64,
-}
-
-impl VertexQuadratics {
-    fn new(vertex_count: usize) -> Self {
-        Self { slot_of: vec![u32::MAX; vertex_count], vertices: vec![], matrices: vec![], vectors: vec![], cost: 0.0 }
-    }
-    fn add(&mut self, vertex: u32, matrix: Matrix3<f64>, vector: Vec3) {
-        let slot = &mut self.slot_of[vertex as usize];
-        if *slot == u32::MAX {
-            *slot = self.vertices.len() as u32;
-            self.vertices.push(vertex);
-            self.matrices.push(matrix);
-            self.vectors.push(vector);
-        } else {
-            self.matrices[*slot as usize] += matrix;
-            self.vectors[*slot as usize] += vector;
-        }
-    }
-    /// Adds a pair of a vertex at `v` and scan point `p` with normal `n`.
-    fn pair(
-        &mut self,
-        settings: &RegistrationSettings,
-        level: &Level,
-        share: f64,
-        vertex: u32,
-        v: Vec3,
-        p: Vec3,
-        n: Vec3,
-        label: Label,
-    ) {
-        if label == Label::Ignore {
-            return;
-        }
-        let (r, d) = (n.dot(&(v - p)), (v - p).norm());
-        let mut total = 0.0;
-        for pull in pulls(settings, level, label, r, d) {
-            if pull.weight > 0.0 {
-                let w = pull.weight * share;
-                self.add(vertex, n * n.transpose() * w, n * (w * (r - pull.target)));
-                total = f64::max(total, w);
-                self.cost += 0.5 * w * (r - pull.target).powi(2);
-            }
-        }
-        // Far from the solution surfaces must not only touch but also stop sliding. Later that would only hold a limb's
-        // twist, which no smooth surface shows, where it happens to be.
-        let sideways = total * SLIDING * (1.0 - level.fineness / TRIAL_END).max(0.0);
-        if sideways > 0.0 {
-            let tangent = Matrix3::identity() - n * n.transpose();
-            self.add(vertex, tangent * sideways, tangent * (v - p) * sideways);
-            self.cost += 0.5 * sideways * (d * d - r * r).max(0.0);
-        }
-    }
-    /// A sample without a partner costs as much as one at the edge of the search.
-    fn missing(&mut self, settings: &RegistrationSettings, level: &Level, share: f64) {
-        self.cost += 0.5 * share * (level.scale / settings.skin_sigma).powi(2) * 0.25;
-    }
-}
-
-/// Weight of the distance along the surface against that along the normal, in the first iteration.
-const SLIDING: f64 = 0.3;
-
 /// How far the trials of start poses go in the coarse-to-fine schedule; sliding is free from there on.
 pub(super) const TRIAL_END: f64 = 0.35;
-
-/// Farthest partner, in robust scales: its weight is 1 %.
-const REACH: f64 = 3.0;
-
-fn quadratics(
-    problem: &Problem,
-    scan: &ScanData,
-    posed: &PosedBody,
-    normals: &[Vec3],
-    level: &Level,
-) -> VertexQuadratics {
-    let settings = problem.settings;
-    let mut out = VertexQuadratics::new(posed.vertices.len());
-    let reach = REACH * level.scale;
-    let share = settings.evidence / problem.samples.len().max(1) as f64;
-    for &vertex in problem.samples {
-        let (v, n) = (posed.vertices[vertex as usize], normals[vertex as usize]);
-        match scan.index.nearest(&v, &n, reach) {
-            Some((id, _)) => {
-                out.pair(
-                    settings,
-                    level,
-                    share,
-                    vertex,
-                    v,
-                    scan.index.point(id),
-                    scan.index.normal(id),
-                    scan.labels[id],
-                );
-            }
-            None => out.missing(settings, level, share),
-        }
-    }
-    let body = NormalIndex::new(&posed.vertices, normals, settings.normal_angle_max, |_| true);
-    let share = settings.evidence / scan.samples.len().max(1) as f64;
-    for &id in &scan.samples {
-        let (p, n) = (scan.index.point(id as usize), scan.index.normal(id as usize));
-        match body.nearest(&p, &n, reach) {
-            Some((vertex, _)) => {
-                let v = posed.vertices[vertex];
-                out.pair(settings, level, share, vertex as u32, v, p, n, scan.labels[id as usize]);
-            }
-            None => out.missing(settings, level, share),
-        }
-    }
-    out
-}
 
 /// Normal equations of one scan: pose block, shape block, and their coupling.
 struct Block {
@@ -230,9 +77,10 @@ const STEP_SD: [f64; 3] = [0.1, 0.6, 1.0];
 /// Longest step in translation [m], rotation [rad], shape [1]: correspondences do not hold for longer.
 const STEP_MAX: [f64; 3] = [0.2, 0.4, 1.0];
 
-fn parameters(shape: &[f64], pose: &Pose) -> BodyParameters {
+fn parameters(shape: &[f64], pose: &Pose, displacement: &[Vec3]) -> BodyParameters {
     BodyParameters {
         shape: shape.to_vec(),
+        displacement: displacement.to_vec(),
         rotations: pose.rotations.clone(),
         translation: pose.translation,
         ..BodyParameters::default()
@@ -246,8 +94,13 @@ fn active_columns(priors: &[JointPrior], group: Group) -> Vec<usize> {
 }
 
 /// Poses the body and its normals.
-pub(super) fn pose_body(body: &dyn BodyModel, shape: &[f64], pose: &Pose) -> Result<(PosedBody, Vec<Vec3>)> {
-    let posed = body.forward(&parameters(shape, pose))?;
+pub(super) fn pose_body(
+    body: &dyn BodyModel,
+    shape: &[f64],
+    pose: &Pose,
+    displacement: &[Vec3],
+) -> Result<(PosedBody, Vec<Vec3>)> {
+    let posed = body.forward(&parameters(shape, pose, displacement))?;
     let normals = mesh::vertex_normals(&posed.vertices, &body.describe().faces);
     Ok((posed, normals))
 }
@@ -264,30 +117,18 @@ fn prior_term(prior: &JointPrior, scale: f64, axis: usize, angle: f64) -> (f64, 
     (curvature * angle, curvature, 0.5 * curvature * angle * angle)
 }
 
-fn block(problem: &Problem, scan: &ScanData, shape: &[f64], pose: &Pose, level: &Level) -> Result<Block> {
-    let (posed, normals) = pose_body(problem.body, shape, pose)?;
-    let data = quadratics(problem, scan, &posed, &normals, level);
-    let jacobian = problem.body.jacobian(&parameters(shape, pose), &data.vertices)?;
+fn block(problem: &Problem, scan: &ScanData, state: &State, pose: &Pose, level: &Level) -> Result<Block> {
+    let (shape, displacement) = (&state.shape[..], &state.displacement[..]);
+    let (posed, normals) = pose_body(problem.body, shape, pose, displacement)?;
+    let data = Rows::new(problem, scan, &posed, &normals, level);
+    let jacobian = problem.body.jacobian(&parameters(shape, pose, displacement), &data.vertices)?;
     let columns = active_columns(problem.priors, level.group);
     let pose_count = columns.len();
     let shape_start = 3 + 3 * pose.rotations.len();
     let all: Vec<usize> = columns.iter().copied().chain((0..shape.len()).map(|k| shape_start + k)).collect();
     Error::check_length("columns of the body's Jacobian", shape_start + shape.len(), jacobian.ncols())?;
     Error::check_length("rows of the body's Jacobian", 3 * data.vertices.len(), jacobian.nrows())?;
-    // H = Jᵀ M J and g = Jᵀ b with M block-diagonal.
-    let a = jacobian.select_columns(&all);
-    let mut weighted = a.clone();
-    let mut gradient = DVector::zeros(all.len());
-    for (c, mut column) in weighted.column_iter_mut().enumerate() {
-        let mut sum = 0.0;
-        for (i, (m, b)) in data.matrices.iter().zip(&data.vectors).enumerate() {
-            let j = Vec3::new(column[3 * i], column[3 * i + 1], column[3 * i + 2]);
-            sum += j.dot(b);
-            column.fixed_rows_mut::<3>(3 * i).copy_from(&(m * j));
-        }
-        gradient[c] = sum;
-    }
-    let mut hessian = a.transpose() * weighted;
+    let (mut hessian, mut gradient) = data.equations(&jacobian.select_columns(&all));
     for i in 0..pose_count {
         let kind = usize::from(i >= 3);
         hessian[(i, i)] += STEP_SD[kind].powi(-2);
@@ -318,7 +159,7 @@ pub(super) fn step(problem: &Problem, scans: &[&ScanData], state: &mut State, le
     let blocks: Vec<Block> = scans
         .par_iter()
         .zip(&state.poses)
-        .map(|(scan, pose)| block(problem, scan, &state.shape, pose, level))
+        .map(|(scan, pose)| block(problem, scan, state, pose, level))
         .collect::<Result<_>>()?;
     let failed = |scan: &ScanData| {
         Error::numerics(
@@ -381,8 +222,8 @@ pub(super) fn step(problem: &Problem, scans: &[&ScanData], state: &mut State, le
 
 /// Cost of one scan at a level: data and pose prior.
 pub(super) fn cost(problem: &Problem, scan: &ScanData, shape: &[f64], pose: &Pose, level: &Level) -> Result<f64> {
-    let (posed, normals) = pose_body(problem.body, shape, pose)?;
-    let mut total = quadratics(problem, scan, &posed, &normals, level).cost;
+    let (posed, normals) = pose_body(problem.body, shape, pose, &[])?;
+    let mut total = Rows::new(problem, scan, &posed, &normals, level).cost;
     for (prior, rotation) in problem.priors.iter().zip(&pose.rotations) {
         for axis in 0..3 {
             total += prior_term(prior, problem.settings.pose_prior_scale, axis, rotation[axis]).2;
@@ -414,8 +255,7 @@ pub(super) fn prepare<'a>(
         ));
     }
     let kept: Vec<Vec3> = ids.iter().map(|&i| points.points[i as usize]).collect();
-    let samples =
-        super::correspondence::spread(&kept, settings.sample_vertices).into_iter().map(|i| ids[i as usize]).collect();
+    let samples = Samples::new(&kept, settings.sample_vertices).of(&ids);
     let index = NormalIndex::new(&points.points, &points.normals, settings.normal_angle_max, usable);
     Ok(ScanData { name, labels: &points.labels, index, samples })
 }

@@ -59,7 +59,7 @@ fn refinement_comes_nearer_to_the_style() {
         let template = tailor.generate(&start, 0.03).unwrap();
         Worn { vertices: vertices(&template), template }
     };
-    let seen = Seen { points: &scan, edges: &edges };
+    let seen = Seen { points: &scan, edges: &edges, covered_by: &[] };
     let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t| Ok(vertices(t))).unwrap();
     assert_eq!(found.template.style, found.style);
     assert_eq!(found.worn, found.template.mesh.vertices);
@@ -76,7 +76,7 @@ fn refinement_comes_nearer_to_the_style() {
     // A sleeve that nobody sees the end of stays in the middle of what there is.
     let trunk: Vec<Vec3> = scan.iter().filter(|p| p.x.abs() < 0.15).copied().collect();
     let hem: Vec<Vec3> = edges.iter().filter(|p| p.x.abs() < 0.15).copied().collect();
-    let seen = Seen { points: &trunk, edges: &hem };
+    let seen = Seen { points: &trunk, edges: &hem, covered_by: &[] };
     let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t| Ok(vertices(t))).unwrap();
     assert_eq!(found.style.to_unit()[0], 0.5);
     assert!((found.style.to_unit()[1] - truth.to_unit()[1]).abs() < 0.01, "{:?}", found.style);
