@@ -5,7 +5,7 @@ use crate::config::{RigConfig, Texture};
 use crate::random::{normal, uniform};
 use crate::scene::label_of;
 use caphy_core::pose::Pose;
-use caphy_core::query::{NearestSurface, PseudoNormals};
+use caphy_core::query::{NearestGrid, NearestSurface, PseudoNormals, boundary_loops};
 use caphy_core::scan::{Label, Scan};
 use caphy_core::{Result, TriMesh, Vec3, mesh};
 use caphy_garment::template::BodyRest;
@@ -24,9 +24,12 @@ pub struct Scanned {
 }
 
 /// What is under cloth gives way until it is this deep [m], by at most so much: contact holds off the cloth's vertices, and skin would
-/// show through the triangles between them. No more than that, since cameras look into sleeves and trouser legs.
+/// show through the triangles between them. No more than that within [`LOOKED_INTO`] of a border, where cameras see into sleeves and
+/// trouser legs; all of it a little farther in.
 const DEPTH: f64 = 3e-3;
 const GIVES_WAY: f64 = 8e-3;
+const LOOKED_INTO: f64 = 0.06;
+const FARTHER_IN: f64 = 0.04;
 /// Beside a garment's border skin gives way less and less, over this distance [m]: its own triangles reach over the border.
 const BESIDE: f64 = 0.012;
 /// Skin is under cloth that is nearer than this [m].
@@ -77,6 +80,9 @@ pub fn scan(
 /// Moves what lies under cloth inwards.
 fn give_way(inner: &mut TriMesh, cloth: &TriMesh) -> Result<()> {
     let surface = NearestSurface::from_mesh(cloth)?;
+    let border: Vec<Vec3> =
+        boundary_loops(&cloth.faces).into_iter().flatten().map(|v| cloth.vertices[v as usize]).collect();
+    let border = NearestGrid::from_points(&border);
     let cloth_normals = PseudoNormals::new(&cloth.vertices, &cloth.faces);
     let normals = inner.vertex_normals();
     for (p, n) in inner.vertices.iter_mut().zip(&normals) {
@@ -89,7 +95,9 @@ fn give_way(inner: &mut TriMesh, cloth: &TriMesh) -> Result<()> {
         }
         let beside = (found.squared_distance - above * above).max(0.0).sqrt();
         let share = (1.0 - beside / BESIDE).max(0.0);
-        *p -= n * ((above + DEPTH).clamp(0.0, GIVES_WAY) * share);
+        let edge = border.nearest_point(p).map_or(f64::INFINITY, |(_, square)| square.sqrt());
+        let inside = ((edge - LOOKED_INTO) / FARTHER_IN).clamp(0.0, 1.0);
+        *p -= n * ((above + DEPTH).clamp(GIVES_WAY * inside, GIVES_WAY) * share);
     }
     Ok(())
 }
@@ -189,5 +197,40 @@ impl<'a> Paint<'a> {
         };
         let shade = lit * (1.0 + MOTTLE * normal(rng));
         base.map(|c| (c * shade).clamp(0.0, 255.0) as u8)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A square of 0.4 m with edges of 2 cm, facing +z.
+    fn sheet(x: f64, z: f64) -> TriMesh {
+        let at = |i: u32| Vec3::new(x + 0.02 * f64::from(i % 21), 0.02 * f64::from(i / 21), z);
+        let square = |i: u32| [[i, i + 1, i + 21], [i + 1, i + 22, i + 21]];
+        let faces = (0..420).filter(|i| i % 21 < 20).flat_map(square).collect();
+        TriMesh { vertices: (0..441).map(at).collect(), faces }
+    }
+
+    #[test]
+    fn skin_gives_way_where_it_would_show() {
+        let depths = |cloth: &TriMesh| {
+            let mut skin = sheet(0.0, 0.0);
+            give_way(&mut skin, cloth).unwrap();
+            skin.vertices.iter().map(|p| (p.x, -p.z)).collect::<Vec<_>>()
+        };
+        // Within 6 cm of a border: here the left one.
+        let all = |list: &[(f64, f64)], want: f64| list.iter().all(|(x, d)| *x > 0.05 || (d - want).abs() < 1e-9);
+        // Cloth 1 mm above the right half; skin 2 cm beside it stays.
+        let half = depths(&sheet(0.2, 0.001));
+        let wanted = |x: f64| if x > 0.199 { DEPTH - 0.001 } else { 0.0 };
+        assert!(half.iter().all(|&(x, d)| x > 0.25 || (d - wanted(x)).abs() < 1e-9), "{half:?}");
+        assert!(all(&depths(&sheet(0.0, -0.002)), DEPTH + 0.002), "skin showed through");
+        let loose = depths(&sheet(0.0, 0.02));
+        assert!(all(&loose, 0.0), "cameras look in");
+        assert!((loose[220].1 - GIVES_WAY).abs() < 1e-9, "20 cm from all borders nothing is seen");
+        let mut turned = sheet(0.0, -0.002);
+        turned.faces.iter_mut().for_each(|f| f.swap(1, 2));
+        assert!(depths(&turned).iter().all(|(_, d)| *d == 0.0), "a hand on trousers");
     }
 }

@@ -210,6 +210,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn cloth_that_comes_near_in_some_poses_touches() {
+        let settings = RegistrationSettings::default();
+        assert!(touching(&settings, &mut [0.004]).is_none(), "one pose says nothing");
+        assert!(touching(&settings, &mut [0.002; 5]).is_none(), "it touches already");
+        // The nearest of five may be a pose that is off: the second, 5 mm deep where 3 mm touch.
+        let near = touching(&settings, &mut [0.02, 0.001, 0.005, 0.012, 0.03]).unwrap();
+        assert!((near.target - 0.002).abs() < 1e-12);
+        let far = touching(&settings, &mut [0.04; 5]).unwrap();
+        assert!(far.weight < 1e-3 * near.weight);
+    }
+
+    #[test]
     fn conjugate_gradients_solve_a_chain() {
         let n = 60;
         let diagonal = vec![2.1; n];
