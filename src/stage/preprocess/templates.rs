@@ -166,8 +166,7 @@ impl<'a> Choosing<'a> {
         let seen = Seen { points: &points, edges: &edges, covered_by: &cover };
         let refined = refine(&*source, tailor, start, CANDIDATE_RESOLUTION, seen, wear)?;
         let after = choose_template(std::slice::from_ref(&refined.worn), &points, &options)?;
-        let (_, template) =
-            at_resolution(&*source, tailor, &refined.style, CANDIDATE_RESOLUTION, settings.resolution_m)?;
+        let template = at_resolution(&*source, tailor, &refined.style, CANDIDATE_RESOLUTION, settings.resolution_m)?;
         let choice = TemplateChoice {
             kind,
             scan: self.standard.name.clone(),

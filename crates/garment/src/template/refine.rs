@@ -263,8 +263,8 @@ fn gauss_newton(u: &[f64], now: &Trial, beside: &[Option<(Vec<f64>, Trial)>]) ->
     bounded::solve(&h, &-g, &lower, &upper, &DVector::zeros(axes))
 }
 
-/// The style whose template with edges of `to` [m] measures as that of `style` does with edges of `from` [m]: coarser triangles keep
-/// farther from the skin, so that candidates are wider than the templates of the same style.
+/// The template with edges of `to` [m] that measures as that of `style` does with edges of `from` [m], of a style beside it: coarser
+/// triangles keep farther from the skin, so that candidates are wider than the templates of the same style.
 ///
 /// # Errors
 /// Those of [`TemplateSource::template`]; styles that no garment can be made of are passed over.
@@ -274,10 +274,13 @@ pub fn at_resolution(
     style: &Style,
     from: f64,
     to: f64,
-) -> Result<(Style, Template)> {
-    let wanted = source.template(tailor, style, from)?.measures();
+) -> Result<Template> {
     let mut u = source.coordinates(style);
     let mut now = source.template(tailor, style, to)?;
+    if u.is_empty() {
+        return Ok(now);
+    }
+    let wanted = source.template(tailor, style, from)?.measures();
     let logs = |measures: &GarmentMeasures| -> Vec<f64> {
         let lengths = measures.girths_m.iter().chain(&measures.lengths_m).map(|l| l.1);
         lengths.chain([measures.area_m2.sqrt()]).map(|l| l.max(1e-6).ln() / MEASURE_SIGMA).collect()
@@ -319,7 +322,7 @@ pub fn at_resolution(
         }
         (u, now) = (next, made);
     }
-    Ok((now.style.clone(), now))
+    Ok(now)
 }
 
 /// How exactly measures of two triangulations of one style agree [1], and how far a style may move for them, in shares of an axis's range.

@@ -3,7 +3,7 @@
 use super::{body, shirt, trousers};
 use caphy_core::{Error, Vec3};
 use caphy_garment::template::{
-    ChooseOptions, GarmentKind, Seen, Tailor, Template, TemplateParametric, Worn, choose_template,
+    ChooseOptions, GarmentKind, Seen, Tailor, Template, TemplateParametric, Worn, at_resolution, choose_template,
     pose_by_nearest_vertex, pose_by_weights, refine, sample_styles,
 };
 use nalgebra::{Matrix3x4, Rotation3};
@@ -80,6 +80,56 @@ fn refinement_comes_nearer_to_the_style() {
     let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t| Ok(vertices(t))).unwrap();
     assert_eq!(found.style.to_unit()[0], 0.5);
     assert!((found.style.to_unit()[1] - truth.to_unit()[1]).abs() < 0.01, "{:?}", found.style);
+}
+
+#[test]
+fn a_waist_under_a_shirt_is_not_guessed_from_folds() {
+    let tailor = Tailor::new(body::capsules()).unwrap();
+    let over = vertices(&tailor.generate(&shirt(0.3, 0.6, 0.03, 0.2), 0.02).unwrap());
+    let hem = over.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
+    let scanned = tailor.generate(&trousers(0.7, 0.02, 0.9), 0.02).unwrap();
+    let scan: Vec<Vec3> = vertices(&scanned).into_iter().filter(|p| p.y < hem).collect();
+    let ends = scanned.loops.iter().flat_map(|l| &l.vertices).map(|&v| scanned.mesh.vertices[v as usize]);
+    let edges: Vec<Vec3> = ends.filter(|p| p.y < hem).collect();
+    // Legs fold in another way with every rise, as simulated ones do.
+    let wear = |t: &Template| {
+        let rise = t.style.values()[2];
+        Ok(t.mesh.vertices.iter().map(|p| p + Vec3::x() * (0.012 * (40.0 * p.y + 15.0 * rise).sin())).collect())
+    };
+    let rise = |covered_by: &[Vec3]| {
+        let template = tailor.generate(&trousers(0.6, 0.015, 0.3), 0.03).unwrap();
+        let start = Worn { vertices: wear(&template).unwrap(), template };
+        let seen = Seen { points: &scan, edges: &edges, covered_by };
+        refine(&TemplateParametric {}, &tailor, start, 0.03, seen, wear).unwrap().style.to_unit()[2]
+    };
+    assert_eq!(rise(&over), 0.5);
+    assert_ne!(rise(&[]), 0.5, "the folds answer");
+}
+
+#[test]
+fn a_style_measures_the_same_at_another_resolution() {
+    let tailor = Tailor::new(body::capsules()).unwrap();
+    let style = shirt(0.42, 0.55, 0.02, 0.3);
+    let coarse = tailor.generate(&style, 0.035).unwrap().measures();
+    // Coarse triangles keep farther from the skin: of one style, the fine template is smaller all around.
+    let fine = tailor.generate(&style, 0.02).unwrap();
+    let template = at_resolution(&TemplateParametric {}, &tailor, &style, 0.035, 0.02).unwrap();
+    let found = &template.style;
+    let girths_off = |t: &Template| {
+        let shares = t.girths().into_iter().zip(&coarse.girths_m).map(|((_, own), (_, theirs))| own / theirs - 1.0);
+        shares.map(f64::abs).fold(0.0, f64::max)
+    };
+    // What two triangulations of one style differ by, which the fit counts as exact.
+    assert!(
+        girths_off(&fine) > 0.02 && girths_off(&template) < 0.01,
+        "{} {}",
+        girths_off(&fine),
+        girths_off(&template)
+    );
+    let [before, after] = [&fine, &template].map(|t| t.measures().against(&coarse).area);
+    assert!(before < -0.01 && after.abs() < 0.01, "{before} {after}");
+    assert!(found.values()[2] > style.values()[2], "wider, not longer");
+    assert_eq!(at_resolution(&TemplateParametric {}, &tailor, &style, 0.02, 0.02).unwrap().style, style);
 }
 
 #[test]
