@@ -6,7 +6,7 @@
 
 use crate::energy::BodyState;
 use caphy_core::lanes::Frames;
-use caphy_core::query::nearest_on_triangle;
+use caphy_core::query::{Fans, nearest_on_triangle};
 use caphy_core::{Error, Real, Result, Vec3};
 use rayon::prelude::*;
 
@@ -14,9 +14,7 @@ use rayon::prelude::*;
 #[derive(Debug, Clone, PartialEq)]
 pub struct ContactSurface {
     faces: Vec<[u32; 3]>,
-    /// Faces around vertex `v`: `around[offsets[v]..offsets[v + 1]]`.
-    offsets: Vec<u32>,
-    around: Vec<u32>,
+    around: Fans,
 }
 
 /// One point of the body, with its normal, for each garment vertex: a body of as many vertices as the garment.
@@ -41,36 +39,13 @@ impl ContactSurface {
     /// # Errors
     /// [`Error::Mesh`] naming the face with a vertex that is not there.
     pub fn new(vertex_count: usize, faces: &[[u32; 3]]) -> Result<Self> {
-        let mut offsets = vec![0u32; vertex_count + 1];
         for (f, face) in faces.iter().enumerate() {
-            for &v in face {
-                if v as usize >= vertex_count {
-                    let problem = format!("names vertex {v} of {vertex_count}");
-                    return Err(Error::mesh("body", format!("face {f}"), problem, "give the faces of the posed part"));
-                }
-                offsets[v as usize + 1] += 1;
+            if let Some(v) = face.iter().find(|v| **v as usize >= vertex_count) {
+                let problem = format!("names vertex {v} of {vertex_count}");
+                return Err(Error::mesh("body", format!("face {f}"), problem, "give the faces of the posed part"));
             }
         }
-        for v in 0..vertex_count {
-            offsets[v + 1] += offsets[v];
-        }
-        let mut at = offsets.clone();
-        let mut around = vec![0; 3 * faces.len()];
-        for (f, face) in faces.iter().enumerate() {
-            for &v in face {
-                around[at[v as usize] as usize] = f as u32;
-                at[v as usize] += 1;
-            }
-        }
-        Ok(Self { faces: faces.to_vec(), offsets, around })
-    }
-
-    fn around(&self, vertex: u32) -> &[u32] {
-        // Vertices behind the body's, such as another garment's, have no faces here.
-        match self.offsets.get(vertex as usize..vertex as usize + 2) {
-            Some(range) => &self.around[range[0] as usize..range[1] as usize],
-            None => &[],
-        }
+        Ok(Self { faces: faces.to_vec(), around: Fans::new(vertex_count, faces) })
     }
 
     /// Where each garment vertex meets the body whose vertex it is nearest to; `nearest` as [`crate::contact::ContactMap::nearest`]
@@ -129,7 +104,8 @@ impl ContactSurface {
     fn meeting(&self, p: &Vec3, vertex: u32, body: impl Fn(usize) -> (Vec3, Vec3)) -> (Vec3, Vec3) {
         let own = body(vertex as usize);
         let mut best = ((own.0 - p).norm_squared(), own.0, own.1);
-        for &face in self.around(vertex) {
+        // Vertices behind the body's, such as another garment's, have no faces here.
+        for &face in self.around.of(vertex as usize) {
             let corners = self.faces[face as usize].map(|v| body(v as usize));
             let found = nearest_on_triangle(p, &corners.map(|c| c.0));
             if found.squared_distance < best.0 {
@@ -199,7 +175,7 @@ mod tests {
             assert!((state.positions.get(0, lane, 1) - skin.get(0, lane, 0)).norm() < 1e-15);
         }
         // Another garment's vertices behind the body's have no triangles: they are met themselves.
-        assert!(surface.around(2 * n + 5).is_empty());
+        assert!(surface.around.of(2 * n as usize + 5).is_empty());
         assert!(ContactSurface::new(3, &[[0, 1, 3]]).unwrap_err().to_string().contains("face 0"));
         assert!(surface.points(&cloth, &skin, &normals, &nearest[1..]).is_err());
     }

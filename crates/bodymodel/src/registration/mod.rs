@@ -3,8 +3,8 @@
 //! # Method
 //! Skin of the scan attracts the body. Cloth holds it inside: a stiff one-sided bound, a weak expectation of ease,
 //! and a weak pull where the body is deeper than clothes usually are. Correspondences go both ways, to the nearest
-//! point whose normal is compatible; residuals are distances along the scan's normal with Geman-McClure weights whose
-//! scale shrinks. Priors hold the pose (knees and elbows bend one way) and the shape (N(0, 1)). Gauss-Newton steps
+//! point whose normal is compatible; residuals are distances along the scan's normal (of cloth, whose folds point anywhere, along
+//! the skin's) with Geman-McClure weights whose scale shrinks. Priors hold the pose (knees and elbows bend one way) and the shape (N(0, 1)). Gauss-Newton steps
 //! with the body's own Jacobian solve all poses and the shared shape together: the arrow-shaped system by Schur's
 //! complement. What no shape explains, dT takes up: in the last third of the iterations a smooth field is found in turn
 //! with them. The start is a coarse search over heading, position, arms and legs, whose best poses are tried before
@@ -27,13 +27,13 @@ pub use settings::RegistrationSettings;
 
 use caphy_core::body::BodyModel;
 use caphy_core::pose::Pose;
+use caphy_core::query::Fans;
 use caphy_core::scan::LabelledPoints;
 use caphy_core::{Error, Result, Vec3};
 use caphy_formats::motion::UpAxis;
 use correspondence::Samples;
 use prior::Group;
 use rayon::prelude::*;
-use rows::Fans;
 use serde::{Deserialize, Serialize};
 use solve::{Level, Problem, ScanData, State, TRIAL_END};
 

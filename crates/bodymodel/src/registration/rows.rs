@@ -5,7 +5,7 @@ use super::settings::RegistrationSettings;
 use super::solve::{Level, Problem, ScanData, TRIAL_END};
 use caphy_core::Vec3;
 use caphy_core::body::PosedBody;
-use caphy_core::query::nearest_on_triangle;
+use caphy_core::query::{Fans, nearest_on_triangle};
 use caphy_core::scan::Label;
 use nalgebra::{DMatrix, DVector};
 
@@ -65,41 +65,17 @@ impl Site {
     }
 }
 
-/// The triangles around each vertex.
-#[derive(Debug)]
-pub(super) struct Fans {
-    starts: Vec<u32>,
-    faces: Vec<u32>,
-}
-
-impl Fans {
-    pub(super) fn new(vertex_count: usize, faces: &[[u32; 3]]) -> Self {
-        let mut starts = vec![0u32; vertex_count + 1];
-        faces.iter().flatten().for_each(|&v| starts[v as usize + 1] += 1);
-        (0..vertex_count).for_each(|v| starts[v + 1] += starts[v]);
-        let mut at = starts.clone();
-        let mut list = vec![0; 3 * faces.len()];
-        for (f, face) in faces.iter().enumerate() {
-            for &v in face {
-                list[at[v as usize] as usize] = f as u32;
-                at[v as usize] += 1;
-            }
+/// The place nearest to `p` [m] on the triangles around a vertex.
+fn nearest_site(fans: &Fans, p: &Vec3, vertex: u32, vertices: &[Vec3], faces: &[[u32; 3]]) -> Site {
+    let mut best = (f64::INFINITY, Site::vertex(vertex));
+    for &f in fans.of(vertex as usize) {
+        let face = faces[f as usize];
+        let near = nearest_on_triangle(p, &face.map(|v| vertices[v as usize]));
+        if near.squared_distance < best.0 {
+            best = (near.squared_distance, Site { vertices: face, shares: near.barycentric });
         }
-        Self { starts, faces: list }
     }
-    /// The place nearest to `p` [m] on the triangles around a vertex.
-    fn nearest(&self, p: &Vec3, vertex: u32, vertices: &[Vec3], faces: &[[u32; 3]]) -> Site {
-        let own = self.starts[vertex as usize] as usize..self.starts[vertex as usize + 1] as usize;
-        let mut best = (f64::INFINITY, Site::vertex(vertex));
-        for &f in &self.faces[own] {
-            let face = faces[f as usize];
-            let near = nearest_on_triangle(p, &face.map(|v| vertices[v as usize]));
-            if near.squared_distance < best.0 {
-                best = (near.squared_distance, Site { vertices: face, shares: near.barycentric });
-            }
-        }
-        best.1
-    }
+    best.1
 }
 
 /// ½ weight (direction · δ)² + pull (direction · δ), with δ the displacement of a place.
@@ -149,7 +125,7 @@ impl Rows {
                 out.missing(settings, level, share);
                 continue;
             };
-            let site = problem.fans.nearest(&p, vertex as u32, &posed.vertices, faces);
+            let site = nearest_site(problem.fans, &p, vertex as u32, &posed.vertices, faces);
             let label = scan.labels[id as usize];
             // A fold's normal points anywhere: what lies under it is as deep as the skin says.
             let n = if label == Label::Body { n } else { site.mix(normals).try_normalize(0.0).unwrap_or(n) };

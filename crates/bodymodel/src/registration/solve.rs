@@ -2,10 +2,11 @@
 
 use super::correspondence::{NormalIndex, Samples};
 use super::prior::{Group, HINGE_SD, JointPrior};
-use super::rows::{Fans, Rows};
+use super::rows::Rows;
 use super::settings::RegistrationSettings;
 use caphy_core::body::{BodyModel, BodyParameters, PosedBody};
 use caphy_core::pose::Pose;
+use caphy_core::query::Fans;
 use caphy_core::scan::{Label, LabelledPoints};
 use caphy_core::{Error, Result, Vec3, mesh};
 use nalgebra::{DMatrix, DVector};

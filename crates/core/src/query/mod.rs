@@ -10,6 +10,7 @@ mod adjacency;
 mod batch;
 mod cells;
 mod edges;
+mod fans;
 mod lanes;
 mod side;
 mod surface;
@@ -18,6 +19,7 @@ mod vertices;
 
 pub use adjacency::Adjacency;
 pub use edges::{Hinge, boundary_loops, hinges};
+pub use fans::Fans;
 pub use lanes::{LaneAnswers, LaneBoxes, NearestInLanes};
 pub use side::PseudoNormals;
 pub use surface::{NearestSurface, SurfacePoint};
