@@ -3,8 +3,9 @@
 //! Cameras all around measure depth. A point in front of what some camera sees there, and on the outer side of the surface nearest to
 //! it, is free; points near what is seen and not free are inside: cloth has no back of its own, as if there were a body behind
 //! it. Between the two lies the surface: on a grid, the distance to the nearest surface that is seen, free points
-//! counting positive, and one vertex per cell that its zero level crosses ("surface nets", Gibson 1998). Surfaces that touch
-//! merge where no camera sees between them, as in real scans; where nothing is seen the mesh is open.
+//! counting positive, and one vertex per cell that its zero level crosses ("surface nets", Gibson 1998). What is seen is at least a
+//! cell thick: cloth keeps its border where a camera looks under it into a gap that the grid does not resolve. Surfaces that touch
+//! merge, as in real scans; where nothing is seen the mesh is open.
 
 use crate::cameras::{Projection, fibonacci_directions, frame};
 use crate::raster::{ZBuffer, barycentric_unclamped, corners, to_camera};
@@ -151,6 +152,18 @@ impl Rig {
         let nodes = grid.around(&all.vertices, &faces);
         let normals = PseudoNormals::new(&all.vertices, &faces);
         let border = Border::new(&faces);
+        let sheets = sheets(&all.vertices, &faces, &visible, &first_face)?;
+        // Distance to what is seen, if the point is no farther than a cell behind it: one of the two ends of each of the grid's
+        // edges that cross a sheet is.
+        let behind = |point: &Vec3| -> Option<f64> {
+            let backs = sheets.iter().filter_map(|(first, sheet)| {
+                let mut nearest = sheet.nearest_within(point, self.cell_m * self.cell_m)?;
+                nearest.face += first;
+                let signed = normals.signed_distance(point, &nearest);
+                (signed < 0.0 && !border.holds(&nearest)).then_some(-signed)
+            });
+            backs.min_by(f64::total_cmp)
+        };
         let values: Vec<f64> = nodes
             .par_iter()
             .map(|&node| {
@@ -159,8 +172,11 @@ impl Rig {
                 let signed = normals.signed_distance(&point, &nearest);
                 // Beside an open border there is no outer side.
                 let outside = signed > 0.0 || border.holds(&nearest);
-                let free = outside && images.iter().any(|image| image.sees(&point, &all.faces));
-                if free { signed.abs() } else { -signed.abs() }
+                match behind(&point) {
+                    Some(depth) => -depth,
+                    None if outside && images.iter().any(|image| image.sees(&point, &all.faces)) => signed.abs(),
+                    None => -signed.abs(),
+                }
             })
             .collect();
         let net = grid.net(&nodes, &values);
@@ -203,6 +219,19 @@ impl<'a> Border<'a> {
             TriangleFeature::Corner(k) => self.vertices.contains(&self.faces[face][k as usize]),
         }
     }
+}
+
+/// What is seen of each part, and the number of its first face among all that are seen.
+fn sheets(
+    vertices: &[Vec3],
+    faces: &[[u32; 3]],
+    visible: &[u32],
+    first_face: &[u32],
+) -> Result<Vec<(u32, NearestSurface)>> {
+    let starts: Vec<usize> = first_face.iter().map(|first| visible.partition_point(|f| f < first)).collect();
+    let ends = starts.iter().skip(1).copied().chain([faces.len()]);
+    let parts = starts.iter().copied().zip(ends).filter(|(start, end)| start < end);
+    parts.map(|(start, end)| Ok((start as u32, NearestSurface::new(vertices, &faces[start..end])?))).collect()
 }
 
 /// Cells along an axis that a key has room for.
@@ -406,6 +435,21 @@ mod tests {
             let truth = if o.part == 0 { 0.28 } else { 0.3 };
             assert!((r - truth).abs() < LARGEST_ERROR * RIG.cell_m + SAG, "{r}");
         }
+    }
+
+    #[test]
+    fn cloth_over_a_gap_that_the_grid_does_not_resolve_ends_where_it_ends() {
+        // Three quarters of a cell above the inner sphere, open at x = 0.2; cameras look under the rim.
+        let (inner, outer) = (sphere(Vec3::zeros(), 0.285, 60), sphere(Vec3::zeros(), 0.3, 60));
+        let keep: Vec<bool> = outer.vertices.iter().map(|v| v.x < 0.2).collect();
+        let (cup, _) = outer.submesh(&keep);
+        let captured = RIG.capture(&[&inner, &cup]).unwrap();
+        let rim = cup.vertices.iter().map(|v| v.x).fold(f64::NEG_INFINITY, f64::max);
+        // The rim is a zigzag of the edges' 16 mm; a vertex lies somewhere in its cell.
+        let farthest = 0.016 + 3f64.sqrt() * RIG.cell_m;
+        let skin = captured.mesh.vertices.iter().zip(&captured.origins).filter(|(_, o)| o.part == 0);
+        let under = skin.map(|(v, _)| rim - v.x).fold(f64::NEG_INFINITY, f64::max);
+        assert!(under < farthest, "{under} under cloth");
     }
 
     #[test]
