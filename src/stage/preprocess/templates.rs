@@ -18,8 +18,8 @@ use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::{
-    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, Worn, at_resolution,
-    choose_template, pose_by_nearest_vertex, refine, templates,
+    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, Worn, choose_template, finish,
+    pose_by_nearest_vertex, refine, templates,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -50,7 +50,7 @@ pub struct TemplateChoice {
     pub best_sample_mm2: f64,
     /// The same of the median sample, posed by skinning alone [mm²].
     pub median_sample_mm2: f64,
-    /// The same after the style was refined [mm²].
+    /// The same after the style was refined, before it was taken to the template's resolution [mm²].
     pub refined_mm2: f64,
     /// Distance of the scan's edges from those of the refined template along the cloth, root mean square [mm]; 0 where the scan shows
     /// none.
@@ -166,7 +166,7 @@ impl<'a> Choosing<'a> {
         let seen = Seen { points: &points, edges: &edges, covered_by: &cover };
         let refined = refine(&*source, tailor, start, CANDIDATE_RESOLUTION, seen, wear)?;
         let after = choose_template(std::slice::from_ref(&refined.worn), &points, &options)?;
-        let template = at_resolution(&*source, tailor, &refined.style, CANDIDATE_RESOLUTION, settings.resolution_m)?;
+        let finished = finish(&*source, tailor, &refined, settings.resolution_m, seen, wear)?;
         let choice = TemplateChoice {
             kind,
             scan: self.standard.name.clone(),
@@ -174,10 +174,11 @@ impl<'a> Choosing<'a> {
             best_sample_mm2: sampled.report[sampled.index].squared * 1e6,
             median_sample_mm2: median * 1e6,
             refined_mm2: after.report[after.index].squared * 1e6,
-            edges_off_mm: refined.edges_off_m * 1e3,
-            measures: template.measures(),
+            edges_off_mm: finished.edges_off_m * 1e3,
+            measures: finished.template.measures(),
         };
-        Ok((template, choice, (refined.template.mesh.faces, vec![refined.worn])))
+        let worn = (finished.template.mesh.faces.clone(), vec![finished.worn]);
+        Ok((finished.template, choice, worn))
     }
 
     /// A candidate at rest on the body in the scan's pose [m].

@@ -24,7 +24,7 @@ mod surface;
 pub use choose::{Chamfer, Choice, ChooseOptions, choose_template, pose_by_nearest_vertex, pose_by_weights};
 pub use facts::{GarmentFacts, GarmentMeasures, LengthFacts, LoopFacts, MeasureErrors, Quantiles};
 pub use given::{FitOptions, GivenFacts, GivenMesh, LayoutFacts, PenetrationFacts, PenetrationOptions, Repairs};
-pub use refine::{Refinement, Seen, Worn, at_resolution, refine};
+pub use refine::{Refinement, Seen, Worn, finish, refine};
 pub use rest::BodyRest;
 pub use source::{
     TemplateFolder, TemplateLinear, TemplateMesh, TemplateParametric, TemplateSource, TemplateSpec, read_garment,

@@ -9,7 +9,7 @@
 //! Differs from the paper: it takes the sample as it is.
 
 use super::source::TemplateSource;
-use super::{GarmentMeasures, Style, Tailor, Template};
+use super::{Style, Tailor, Template};
 use crate::estimate::bounded;
 use caphy_core::query::{NearestGrid, NearestSurface, boundary_loops, nearest_on_triangle};
 use caphy_core::{Error, Result, Vec3, mesh};
@@ -38,6 +38,8 @@ const DIFFERS: f64 = 5e-3;
 /// Most steps, and the share of the sum of squares that one must gain for another to be worth its time.
 const STEPS: usize = 6;
 const WORTH_IT: f64 = 0.02;
+/// Most steps of templates as fine as wanted, each many times slower.
+const FINE_STEPS: usize = 2;
 /// Shares of a step that are tried at the same time.
 const SHARES: [f64; 2] = [1.0, 0.4];
 
@@ -61,7 +63,7 @@ pub struct Worn {
     pub vertices: Vec<Vec3>,
 }
 
-/// Outcome of [`refine`].
+/// Outcome of [`refine`] and of [`finish`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refinement {
     /// The best style found.
@@ -74,6 +76,8 @@ pub struct Refinement {
     pub edges_off_m: f64,
     /// Templates made on the way, beside the start.
     pub evaluations: usize,
+    /// Change of each residual per axis, as measured last. Shape [residuals, axes].
+    slopes: DMatrix<f64>,
 }
 
 /// A style as it is worn, and how the scan differs from it.
@@ -149,21 +153,15 @@ pub fn refine(
         beside = around(&u, &unseen)?;
         evaluations += 1 + axes - unseen.len();
     }
+    let mut slopes = DMatrix::zeros(now.residuals.len(), axes);
     for round in 0..if unseen.len() == axes { 0 } else { STEPS } {
         if round > 0 {
             beside = around(&u, &unseen)?;
             evaluations += axes - unseen.len();
         }
-        let step = gauss_newton(&u, &now, &beside)?;
-        let shared: Vec<Option<(Vec<f64>, Trial)>> = SHARES
-            .par_iter()
-            .map(|share| {
-                let to: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + share * s).collect();
-                let trial = passed_over(source.at(start, &to).and_then(|style| attempt(&style)))?;
-                Ok(trial.map(|t| (to, t)))
-            })
-            .collect::<Result<_>>()?;
-        evaluations += shared.len();
+        slopes = slopes_between(&u, &now, &beside);
+        let shared = shares_of(&gauss_newton(&u, &now, &slopes)?, &u, |to| attempt(&source.at(start, to)?))?;
+        evaluations += SHARES.len();
         // Of the neighbours, too, one may be better than both.
         let best = shared
             .into_iter()
@@ -182,15 +180,65 @@ pub fn refine(
             _ => break,
         }
     }
-    let edges = &now.residuals[patches.points.len()..];
-    let square: f64 = edges.iter().map(|r| (r * SIGMA).powi(2)).sum();
-    Ok(Refinement {
-        style: now.template.style.clone(),
-        edges_off_m: (square / edges.len().max(1) as f64).sqrt(),
-        template: now.template,
-        worn: now.worn,
-        evaluations,
-    })
+    Ok(patches.refinement(now, evaluations, slopes))
+}
+
+/// Trials at shares of a step from `u` that can be made.
+fn shares_of(
+    step: &DVector<f64>,
+    u: &[f64],
+    attempt: impl Fn(&[f64]) -> Result<Trial> + Sync,
+) -> Result<Vec<Option<(Vec<f64>, Trial)>>> {
+    let at = |share: &f64| {
+        let to: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + share * s).collect();
+        Ok(passed_over(attempt(&to))?.map(|trial| (to, trial)))
+    };
+    SHARES.par_iter().map(at).collect()
+}
+
+/// Takes a refined style to templates with edges of about `resolution_m` [m]. Coarse cloth does not fold where finer cloth does and keeps
+/// farther from the skin: the same scan is that of a wider garment of finer triangles. How a step changes the residuals is known from the
+/// coarse garments; the residuals are those of the fine ones.
+///
+/// # Errors
+/// Those of [`refine`].
+pub fn finish(
+    source: &dyn TemplateSource,
+    tailor: &Tailor,
+    refined: &Refinement,
+    resolution_m: f64,
+    seen: Seen<'_>,
+    wear: impl Fn(&Template) -> Result<Vec<Vec3>> + Sync,
+) -> Result<Refinement> {
+    let patches = Patches::new(&seen);
+    let attempt = |style: &Style| -> Result<Trial> {
+        let template = source.template(tailor, style, resolution_m)?;
+        let worn = wear(&template)?;
+        let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
+        Ok(Trial { template, worn, residuals })
+    };
+    let start = &refined.style;
+    let mut u = source.coordinates(start);
+    let mut now = attempt(start)?;
+    let mut evaluations = 1;
+    Error::check_length("residuals of a refined template", refined.slopes.nrows(), now.residuals.len())?;
+    for _ in 0..if u.is_empty() { 0 } else { FINE_STEPS } {
+        let step = gauss_newton(&u, &now, &refined.slopes)?;
+        let shared = shares_of(&step, &u, |to| attempt(&source.at(start, to)?))?;
+        evaluations += SHARES.len();
+        let costs = shared.into_iter().flatten().map(|(to, trial)| (cost(&to, &trial), to, trial));
+        let before = cost(&u, &now);
+        match costs.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((reached, to, trial)) if reached < before => {
+                (u, now) = (to, trial);
+                if reached > (1.0 - WORTH_IT) * before {
+                    break;
+                }
+            }
+            _ => break,
+        }
+    }
+    Ok(patches.refinement(now, evaluations, refined.slopes.clone()))
 }
 
 /// Whether enough patches answer to a step along an axis, where one can be made.
@@ -241,96 +289,31 @@ fn cost(u: &[f64], trial: &Trial) -> f64 {
     0.5 * prior + trial.residuals.iter().map(|r| huber(*r).0).sum::<f64>()
 }
 
-/// The step within the space that the differences promise most of; 0 along axes without one.
-fn gauss_newton(u: &[f64], now: &Trial, beside: &[Option<(Vec<f64>, Trial)>]) -> Result<DVector<f64>> {
-    let axes = u.len();
-    let slope = |row: usize, axis: usize| {
+/// Change of residuals per axis between trials; 0 where it is not more than other folds are, and along axes without a trial.
+fn slopes_between(u: &[f64], now: &Trial, beside: &[Option<(Vec<f64>, Trial)>]) -> DMatrix<f64> {
+    DMatrix::from_fn(now.residuals.len(), u.len(), |row, axis| {
         let Some((to, trial)) = &beside[axis] else { return 0.0 };
         let change = trial.residuals[row] - now.residuals[row];
         if change.abs() < ANSWERS { 0.0 } else { change / (to[axis] - u[axis]) }
-    };
+    })
+}
+
+/// The step within the space that the slopes promise most of; 0 along axes without one.
+fn gauss_newton(u: &[f64], now: &Trial, slopes: &DMatrix<f64>) -> Result<DVector<f64>> {
+    let axes = u.len();
     let mut h = DMatrix::from_diagonal_element(axes, axes, PRIOR.powi(-2));
     let mut g = DVector::from_fn(axes, |k, _| (u[k] - MIDDLE) / (PRIOR * PRIOR));
     for (row, r) in now.residuals.iter().enumerate() {
-        let slopes = DVector::from_fn(axes, |axis, _| slope(row, axis));
+        let slopes = slopes.row(row).transpose();
         let w = huber(*r).1;
         h += &slopes * slopes.transpose() * w;
         g += slopes * (w * r);
     }
-    let within = |k: usize, bound: f64| if beside[k].is_some() { bound - u[k] } else { 0.0 };
+    let within = |k: usize, bound: f64| if slopes.column(k).iter().any(|s| *s != 0.0) { bound - u[k] } else { 0.0 };
     let lower = DVector::from_fn(axes, |k, _| within(k, 0.0));
     let upper = DVector::from_fn(axes, |k, _| within(k, 1.0));
     bounded::solve(&h, &-g, &lower, &upper, &DVector::zeros(axes))
 }
-
-/// The template with edges of `to` [m] that measures as that of `style` does with edges of `from` [m], of a style beside it: coarser
-/// triangles keep farther from the skin, so that candidates are wider than the templates of the same style.
-///
-/// # Errors
-/// Those of [`TemplateSource::template`]; styles that no garment can be made of are passed over.
-pub fn at_resolution(
-    source: &dyn TemplateSource,
-    tailor: &Tailor,
-    style: &Style,
-    from: f64,
-    to: f64,
-) -> Result<Template> {
-    let mut u = source.coordinates(style);
-    let mut now = source.template(tailor, style, to)?;
-    if u.is_empty() {
-        return Ok(now);
-    }
-    let wanted = source.template(tailor, style, from)?.measures();
-    let logs = |measures: &GarmentMeasures| -> Vec<f64> {
-        let lengths = measures.girths_m.iter().chain(&measures.lengths_m).map(|l| l.1);
-        lengths.chain([measures.area_m2.sqrt()]).map(|l| l.max(1e-6).ln() / MEASURE_SIGMA).collect()
-    };
-    let target = DVector::from_vec(logs(&wanted));
-    let off = |template: &Template| &target - DVector::from_vec(logs(&template.measures()));
-    let axes = u.len();
-    for _ in 0..MEASURE_STEPS {
-        let missing = off(&now);
-        let beside: Vec<Option<(f64, DVector<f64>)>> = (0..axes)
-            .into_par_iter()
-            .map(|k| {
-                let mut to_u = u.clone();
-                to_u[k] += if u[k] > 0.5 { -MEASURE_DIFFERENCE } else { MEASURE_DIFFERENCE };
-                let made = passed_over(source.at(style, &to_u).and_then(|s| source.template(tailor, &s, to)))?;
-                Ok(made.map(|t| (to_u[k] - u[k], off(&t))))
-            })
-            .collect::<Result<_>>()?;
-        let mut h = DMatrix::from_diagonal_element(axes, axes, MEASURE_PRIOR.powi(-2));
-        let slopes: Vec<DVector<f64>> = beside
-            .iter()
-            .map(|b| b.as_ref().map_or_else(|| DVector::zeros(missing.len()), |(d, m)| (&missing - m) / *d))
-            .collect();
-        let mut g = DVector::zeros(axes);
-        for (i, a) in slopes.iter().enumerate() {
-            g[i] = a.dot(&missing);
-            for (j, b) in slopes.iter().enumerate() {
-                h[(i, j)] += a.dot(b);
-            }
-        }
-        let bound = |limit: f64| DVector::from_iterator(axes, u.iter().map(|u| limit - u));
-        let step = bounded::solve(&h, &g, &bound(0.0), &bound(1.0), &DVector::zeros(axes))?;
-        let next: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + s).collect();
-        let Some(made) = passed_over(source.at(style, &next).and_then(|s| source.template(tailor, &s, to)))? else {
-            break;
-        };
-        if off(&made).norm() >= missing.norm() {
-            break;
-        }
-        (u, now) = (next, made);
-    }
-    Ok(now)
-}
-
-/// How exactly measures of two triangulations of one style agree [1], and how far a style may move for them, in shares of an axis's range.
-const MEASURE_SIGMA: f64 = 0.01;
-const MEASURE_PRIOR: f64 = 0.2;
-/// Step of differences, likewise, and most steps.
-const MEASURE_DIFFERENCE: f64 = 0.1;
-const MEASURE_STEPS: usize = 3;
 
 /// `None` for a style that no garment can be made of, or worn.
 fn passed_over<T>(trial: Result<T>) -> Result<Option<T>> {
@@ -386,6 +369,18 @@ struct Patches {
 impl Patches {
     fn new(seen: &Seen<'_>) -> Self {
         Self { points: in_cubes(seen.points, PATCH), edges: in_cubes(seen.edges, EDGE_PATCH) }
+    }
+    fn refinement(&self, trial: Trial, evaluations: usize, slopes: DMatrix<f64>) -> Refinement {
+        let edges = &trial.residuals[self.points.len()..];
+        let square: f64 = edges.iter().map(|r| (r * SIGMA).powi(2)).sum();
+        Refinement {
+            style: trial.template.style.clone(),
+            edges_off_m: (square / edges.len().max(1) as f64).sqrt(),
+            template: trial.template,
+            worn: trial.worn,
+            evaluations,
+            slopes,
+        }
     }
     /// Median signed distance over sigma of each patch from a garment.
     fn residuals(&self, seen: &Seen<'_>, vertices: &[Vec3], faces: &[[u32; 3]]) -> Result<Vec<f64>> {

@@ -7,7 +7,7 @@ use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_formats::obj::write_obj;
 use caphy_garment::template::{
     BodyRest, ChooseOptions, FitOptions, GarmentKind, GivenMesh, Seen, Style, Tailor, Template, TemplateSpec, Worn,
-    choose_template, read_garment, refine, templates,
+    choose_template, finish, read_garment, refine, templates,
 };
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -359,6 +359,9 @@ fn a_folder_offers_the_garments_of_a_kind_and_a_scan_chooses() {
     let start = Worn { template: candidates[1].clone(), vertices: posed[1].clone() };
     let refined = refine(&*source, tailor(), start, 0.03, seen, again).unwrap();
     assert_eq!((&refined.style, &refined.worn, refined.evaluations), (&uppers[1], &posed[1], 0));
+    let vertices = |t: &Template| Ok(t.mesh.vertices.clone());
+    let finished = finish(&*source, tailor(), &refined, 0.03, seen, vertices).unwrap();
+    assert_eq!((&finished.style, finished.evaluations), (&uppers[1], 1));
     assert!(source.template(tailor(), &styles[0], 0.03).is_err());
     // The style goes into artifacts and comes back.
     let text = serde_json::to_string(&refined.style).unwrap();
