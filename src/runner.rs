@@ -81,7 +81,7 @@ pub(crate) const PROFILE: &str = "step of ";
 const LOOKING: [&str; 4] = ["metrics_every", "measure_every", "preview_every", "keep_bodies_mib"];
 
 /// Tables of the configuration that preprocessing reads, besides the garments'.
-const PREPROCESSING: [&str; 4] = ["body", "segmenter", "views", "registration"];
+const PREPROCESSING: [&str; 5] = ["body", "segmenter", "views", "registration", "templates"];
 
 /// Estimated fabrics of trained nets: what a simulation depends on of them.
 fn fabric_hash(nets: Option<&Nets>) -> String {

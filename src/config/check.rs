@@ -155,6 +155,7 @@ impl Config {
             other => other,
         })?;
         self.registration.check()?;
+        count("templates.scans", self.templates.scans, 1, 100)?;
         // Sizes that no net has; the real numbers of inputs and outputs follow from body and garment.
         self.net.net(1, 3)?;
         let held_out = match &self.subject {

@@ -58,6 +58,9 @@ pub struct Config {
     /// Fitting the body under the clothes.
     #[serde(default)]
     pub registration: RegistrationSettings,
+    /// What garments are compared with.
+    #[serde(default)]
+    pub templates: TemplatesConfig,
     /// The garment on the torso; none when it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub upper: Option<GarmentConfig>,
@@ -241,6 +244,20 @@ pub struct ViewsConfig {
 impl Default for ViewsConfig {
     fn default() -> Self {
         Self { count: 32, size: 512 }
+    }
+}
+
+/// `[templates]`
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TemplatesConfig {
+    /// Scans that garments are cut by, those nearest to the standard pose. Default 3; the paper takes one, whose folds then are in the cut.
+    pub scans: usize,
+}
+
+impl Default for TemplatesConfig {
+    fn default() -> Self {
+        Self { scans: 3 }
     }
 }
 

@@ -1,8 +1,8 @@
 //! Settings that another setting switches off: a value that somebody chose and that changes nothing is refused.
 
 use super::{
-    Config, EvaluateConfig, FinetuneConfig, GarmentConfig, OptimiseConfig, RigConfig, SubjectConfig, TrainConfig,
-    ViewsConfig, thirty,
+    Config, EvaluateConfig, FinetuneConfig, GarmentConfig, OptimiseConfig, RigConfig, SubjectConfig, TemplatesConfig,
+    TrainConfig, ViewsConfig, thirty,
 };
 use caphy_bodymodel::registration::RegistrationSettings;
 use caphy_core::{Error, Result};
@@ -35,6 +35,7 @@ pub(super) fn check(table: &toml::Table, config: &Config) -> Result<()> {
                 "segmenter",
                 "views",
                 "registration",
+                "templates",
                 "evaluate.ground_truth",
                 "evaluate.perceptual_network",
                 "optimise",
@@ -142,6 +143,7 @@ fn default_of(path: &str) -> Option<toml::Value> {
         "views" => table(ViewsConfig::default()),
         "subject" => Some(toml::Table::from_iter([("rig".to_string(), table(RigConfig::default())?.into())])),
         "registration" => table(RegistrationSettings::default()),
+        "templates" => table(TemplatesConfig::default()),
         "upper" | "lower" => {
             Some(toml::Table::from_iter([("styles".to_string(), toml::Value::Integer(thirty() as i64))]))
         }

@@ -235,8 +235,9 @@ fn labelled_scan(
         SubjectConfig::Scans(scans) => Some((scans.units, scans.up)),
         _ => None,
     };
+    let settings = FusionSettings { views: config.views.count, size: config.views.size, ..FusionSettings::default() };
     let material =
-        serde_json::to_value((&config.body, &config.segmenter, &config.views, &config.registration, frame, &given))
+        serde_json::to_value((&config.body, &config.segmenter, &settings, &config.registration, frame, &given))
             .map_err(|e| Error::config("(whole file)", e.to_string(), "report this as a defect"))?;
     let inputs = input_hashes(context.files, std::slice::from_ref(&material))?;
     let contents = hash_scan(context.files, file)?;
@@ -249,7 +250,6 @@ fn labelled_scan(
         return Ok(scan);
     }
     let (scan, frame, mut notes) = read_scan_of(context.files, &config.subject, body, file)?;
-    let settings = FusionSettings { views: config.views.count, size: config.views.size, ..FusionSettings::default() };
     let fusion = label_scan(&scan, segmenter, &settings)?;
     let label_agreement = scan.labels.as_ref().map(|stored| {
         let same = stored.iter().zip(&fusion.labels).filter(|(a, b)| a == b).count();

@@ -6,6 +6,7 @@
 //! surface's slope out of the tolerance, which can therefore be tight enough to tell skin from the cloth that lies on
 //! it.
 
+use crate::islands::without_islands;
 use caphy_core::query::{Adjacency, NearestGrid};
 use caphy_core::scan::{Label, Scan};
 use caphy_core::segmenter::{Camera, Segmenter, View};
@@ -33,11 +34,14 @@ pub struct FusionSettings {
     /// Rounds of majority smoothing over edge neighbours after the vote. 1: takes single vertices out of noisy labels,
     /// moves a clean border by less than an edge.
     pub smoothing: usize,
+    /// Patches of a label smaller than this take the label around them [m²]. 2 cm²: a crease as dark as hair, not the skin between sleeve and
+    /// glove.
+    pub smallest_patch: f64,
 }
 
 impl Default for FusionSettings {
     fn default() -> Self {
-        Self { views: 32, size: 512, depth_tolerance: 0.25, min_facing: 0.2, smoothing: 1 }
+        Self { views: 32, size: 512, depth_tolerance: 0.25, min_facing: 0.2, smoothing: 1, smallest_patch: 2e-4 }
     }
 }
 
@@ -65,6 +69,10 @@ impl FusionSettings {
         if !(0.0..1.0).contains(&self.min_facing) {
             let problem = format!("is {}", self.min_facing);
             return Err(Error::config(key("min_facing"), problem, "use a cosine from 0 to below 1; 0.2 is usual"));
+        }
+        if !(self.smallest_patch >= 0.0 && self.smallest_patch.is_finite()) {
+            let problem = format!("is {}", self.smallest_patch);
+            return Err(Error::config(key("smallest_patch"), problem, "use an area in m², 0 to keep all patches"));
         }
         Ok(())
     }
@@ -150,6 +158,7 @@ pub fn label_scan(scan: &Scan, segmenter: &dyn Segmenter, settings: &FusionSetti
     for _ in 0..settings.smoothing {
         labels = smoothed(&adjacency, &labels);
     }
+    without_islands(&scan.mesh, &adjacency, &mut labels, settings.smallest_patch);
     let mut counts = [0; 3];
     labels.iter().for_each(|l| count(&mut counts, *l));
     let report = FusionReport {
@@ -162,14 +171,14 @@ pub fn label_scan(scan: &Scan, segmenter: &dyn Segmenter, settings: &FusionSetti
     Ok(Fusion { labels, seen, report })
 }
 
-fn count(votes: &mut [usize; 3], label: Label) {
+pub(crate) fn count(votes: &mut [usize; 3], label: Label) {
     if let Some(n) = votes.get_mut(label as usize) {
         *n += 1;
     }
 }
 
 /// The label with most votes (the smaller one of equals) and its votes; `None` without votes.
-fn majority(votes: &[usize; 3]) -> Option<(Label, usize)> {
+pub(crate) fn majority(votes: &[usize; 3]) -> Option<(Label, usize)> {
     let most = *votes.iter().max()?;
     let winner = Label::ALL.into_iter().find(|l| votes[*l as usize] == most)?;
     (most > 0).then_some((winner, most))

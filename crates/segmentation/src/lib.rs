@@ -8,6 +8,7 @@
 pub mod classes;
 pub mod colour;
 pub mod fusion;
+mod islands;
 pub mod labels;
 pub mod onnx;
 pub mod picture;

@@ -42,7 +42,7 @@ const FRICTION: f64 = 0.3;
 pub struct TemplateChoice {
     /// Upper or lower.
     pub kind: GarmentKind,
-    /// The scan it was compared with.
+    /// The scan that samples were compared with.
     pub scan: String,
     /// Number of styles tried.
     pub styles: usize,
@@ -59,20 +59,34 @@ pub struct TemplateChoice {
     pub measures: GarmentMeasures,
 }
 
-/// The person in the scan nearest to the standard pose, ready to try garments on.
+/// The person, ready to try garments on.
 pub(super) struct Choosing<'a> {
     context: &'a Context<'a>,
     body: Arc<dyn BodyModel>,
     subject: &'a Subject,
-    standard: &'a SubjectScan,
-    /// Its points with their labels; triangles say where labels meet.
-    scan: TriMesh,
-    posed: PosedBody,
+    /// In the scans nearest to the standard pose, nearest first.
+    standing: Vec<Standing<'a>>,
     skin: Vec<Vec3>,
     tailor: Tailor,
 }
 
-/// A garment that is worn already: triangles and vertices [m].
+/// The person in one scan.
+struct Standing<'a> {
+    /// Points with their labels.
+    of: &'a SubjectScan,
+    /// Triangles say where labels meet.
+    mesh: TriMesh,
+    posed: PosedBody,
+}
+
+/// What a scan shows of a garment, thinned [m].
+struct Shown {
+    points: Vec<Vec3>,
+    edges: Vec<Vec3>,
+    cover: Vec<Vec3>,
+}
+
+/// A garment that is worn already: triangles, and vertices in each scan [m].
 type Inner = (Vec<[u32; 3]>, Vec<Vec<Vec3>>);
 
 impl<'a> Choosing<'a> {
@@ -83,25 +97,27 @@ impl<'a> Choosing<'a> {
         scans: &Scans,
     ) -> Result<Self> {
         let joints = &body.describe().joints;
-        let standard = subject
-            .training_scans()
-            .min_by(|a, b| {
-                let distance = |s: &SubjectScan| distance_to_standard(&s.pose, joints);
-                distance(a).total_cmp(&distance(b))
-            })
-            .ok_or_else(|| Error::config("subject", "no training scan", "hold out fewer scans"))?;
-        let file = scans.list.iter().find(|file| file.name == standard.name).ok_or_else(|| {
-            Error::config("subject", format!("scan {} is not there any more", standard.name), "put it back")
-        })?;
-        let scan = read_framed(context.files, file, &standard.frame)?.mesh;
-        let what = format!("labels of scan {}", standard.name);
-        Error::check_length(&what, scan.vertices.len(), standard.points.labels.len())?;
+        let mut order: Vec<(f64, &SubjectScan)> =
+            subject.training_scans().map(|s| (distance_to_standard(&s.pose, joints), s)).collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0));
+        order.truncate(context.config.templates.scans);
+        if order.is_empty() {
+            return Err(Error::config("subject", "no training scan", "hold out fewer scans"));
+        }
         let mut parameters = body.rest(&subject.shape);
         parameters.displacement.clone_from(&subject.displacement);
         let rest = BodyRest::from_model(&*body, &parameters)?;
         let skin = rest.mesh.vertices.clone();
-        let posed = body.forward(&parameters.posed(&standard.pose))?;
-        Ok(Self { context, subject, standard, scan, posed, skin, tailor: Tailor::new(rest)?, body })
+        let stands = |of: &'a SubjectScan| -> Result<Standing<'a>> {
+            let file = scans.list.iter().find(|file| file.name == of.name).ok_or_else(|| {
+                Error::config("subject", format!("scan {} is not there any more", of.name), "put it back")
+            })?;
+            let mesh = read_framed(context.files, file, &of.frame)?.mesh;
+            Error::check_length(&format!("labels of scan {}", of.name), mesh.vertices.len(), of.points.labels.len())?;
+            Ok(Standing { of, mesh, posed: body.forward(&parameters.posed(&of.pose))? })
+        };
+        let standing = order.into_iter().map(|(_, of)| stands(of)).collect::<Result<_>>()?;
+        Ok(Self { context, subject, standing, skin, tailor: Tailor::new(rest)?, body })
     }
 
     /// All configured garments with how they were chosen, upper first.
@@ -137,39 +153,43 @@ impl<'a> Choosing<'a> {
         fabric: &Arc<dyn MaterialModel>,
         inner: Option<&Inner>,
     ) -> Result<(Template, TemplateChoice, Inner)> {
-        let points = self.seen(kind)?;
         let covered = kind != outer(self.context.config.finetune.layering.order);
-        let cover = if covered { thin(&self.of_label(label_of(other(kind))), CANDIDATE_POINTS) } else { Vec::new() };
-        let options = ChooseOptions { covered_by: &cover };
+        let nearest = &self.standing[0];
+        let Shown { points, edges, cover } = &nearest.shown(kind, covered)?;
+        let options = ChooseOptions { covered_by: cover };
         let source = settings.template.template(self.context.files)?;
         let tailor = &self.tailor;
         let styles = source.styles(tailor, kind, settings.styles, self.context.config.run.seed)?;
         let candidates = templates(&*source, tailor, &styles, CANDIDATE_RESOLUTION)?;
         let weights = &self.body.describe().weights;
-        let pose = |t: &Template| pose_by_nearest_vertex(t, weights, &self.posed.transforms);
-        let shapes = candidates.iter().map(pose).collect::<Result<Vec<_>>>()?;
-        let posed = choose_template(&shapes, &points, &options)?;
+        let pose =
+            |t: &Template, scan: usize| pose_by_nearest_vertex(t, weights, &self.standing[scan].posed.transforms);
+        let shapes = candidates.iter().map(|t| pose(t, 0)).collect::<Result<Vec<_>>>()?;
+        let posed = choose_template(&shapes, points, &options)?;
         let mut order: Vec<usize> = (0..candidates.len()).collect();
         order.sort_by(|&a, &b| posed.report[a].squared.total_cmp(&posed.report[b].squared));
         let median = posed.report[order[order.len() / 2]].squared;
         order.truncate(settings.worn.max(1));
-        let wear = |t: &Template| match settings.worn {
-            0 => pose(t),
-            _ => self.worn(t, settings, fabric, inner),
+        let wear = |t: &Template, scan: usize| match settings.worn {
+            0 => pose(t, scan),
+            _ => self.worn(t, scan, settings, fabric, inner),
         };
-        let worn: Vec<Result<Vec<Vec3>>> = order.par_iter().map(|&i| wear(&candidates[i])).collect();
+        let worn: Vec<Result<Vec<Vec3>>> = order.par_iter().map(|&i| wear(&candidates[i], 0)).collect();
         let worn = worn.into_iter().collect::<Result<Vec<_>>>()?;
-        let sampled = choose_template(&worn, &points, &options)?;
+        let sampled = choose_template(&worn, points, &options)?;
         let (best, vertices) = (&candidates[order[sampled.index]], worn[sampled.index].clone());
         let start = Worn { template: best.clone(), vertices };
-        let edges = thin(&self.edges(kind, covered), EDGE_POINTS);
-        let seen = Seen { points: &points, edges: &edges, covered_by: &cover };
-        let refined = refine(&*source, tailor, start, CANDIDATE_RESOLUTION, seen, wear)?;
-        let after = choose_template(std::slice::from_ref(&refined.worn), &points, &options)?;
-        let finished = finish(&*source, tailor, &refined, settings.resolution_m, seen, wear)?;
+        let seen = Seen { points, edges, covered_by: cover };
+        let refined = refine(&*source, tailor, start, CANDIDATE_RESOLUTION, seen, |t| wear(t, 0))?;
+        let after = choose_template(&refined.worn, points, &options)?;
+        let shown = self.standing[1..].iter().map(|s| s.shown(kind, covered)).collect::<Result<Vec<_>>>()?;
+        let more = shown.iter().map(|s| Seen { points: &s.points, edges: &s.edges, covered_by: &s.cover });
+        let all: Vec<Seen<'_>> = std::iter::once(seen).chain(more).collect();
+        let resolutions = [CANDIDATE_RESOLUTION, settings.resolution_m];
+        let finished = finish(&*source, tailor, &refined, resolutions, &all, wear)?;
         let choice = TemplateChoice {
             kind,
-            scan: self.standard.name.clone(),
+            scan: nearest.of.name.clone(),
             styles: styles.len(),
             best_sample_mm2: sampled.report[sampled.index].squared * 1e6,
             median_sample_mm2: median * 1e6,
@@ -177,14 +197,15 @@ impl<'a> Choosing<'a> {
             edges_off_mm: finished.edges_off_m * 1e3,
             measures: finished.template.measures(),
         };
-        let worn = (finished.template.mesh.faces.clone(), vec![finished.worn]);
+        let worn = (finished.template.mesh.faces.clone(), finished.worn);
         Ok((finished.template, choice, worn))
     }
 
-    /// A candidate at rest on the body in the scan's pose [m].
+    /// A candidate at rest on the body in a scan's pose [m].
     fn worn(
         &self,
         template: &Template,
+        scan: usize,
         settings: &GarmentConfig,
         fabric: &Arc<dyn MaterialModel>,
         inner: Option<&Inner>,
@@ -209,8 +230,8 @@ impl<'a> Choosing<'a> {
         let subject = self.subject;
         let garments = std::slice::from_ref(&garment);
         let scene = Scene::dressed(self.body.clone(), &subject.shape, &subject.displacement, garments)?;
-        let track = scene.track(std::slice::from_ref(&self.standard.pose))?;
-        let under = inner.map(|(faces, frames)| Under { faces, frames });
+        let track = scene.track(std::slice::from_ref(&self.standing[scan].of.pose))?;
+        let under = inner.map(|(faces, worn)| Under { faces, frames: &worn[scan..=scan] });
         let contact = scene.contact(&garment)?;
         let simulation = simulate(&garment, fabric.clone(), &track, &contact, under, &options, &|_, _| {})?;
         simulation
@@ -219,13 +240,19 @@ impl<'a> Choosing<'a> {
             .next()
             .ok_or_else(|| Error::numerics("draping of a candidate", "there is no frame", "report this as a defect"))
     }
+}
 
+impl Standing<'_> {
+    fn shown(&self, kind: GarmentKind, covered: bool) -> Result<Shown> {
+        let cover = if covered { thin(&self.of_label(label_of(other(kind))), CANDIDATE_POINTS) } else { Vec::new() };
+        Ok(Shown { points: self.seen(kind)?, edges: thin(&self.edges(kind, covered), EDGE_POINTS), cover })
+    }
     /// Scan points of a garment, thinned.
     fn seen(&self, kind: GarmentKind) -> Result<Vec<Vec3>> {
         let points = self.of_label(label_of(kind));
         if points.is_empty() {
             return Err(Error::mesh(
-                &self.standard.name,
+                &self.of.name,
                 "labels",
                 format!("no point belongs to the {kind} garment"),
                 "check the segmenter and the labels of the scan",
@@ -234,28 +261,28 @@ impl<'a> Choosing<'a> {
         Ok(thin(&points, CANDIDATE_POINTS))
     }
     fn of_label(&self, label: Label) -> Vec<Vec3> {
-        self.standard.points.with_label(label).0
+        self.of.points.with_label(label).0
     }
     /// Where a garment ends in the scan [m]: at skin, and, unless the other garment covers it, at that one.
     fn edges(&self, kind: GarmentKind, covered: bool) -> Vec<Vec3> {
-        let labels = &self.standard.points.labels;
+        let labels = &self.of.points.labels;
         let (own, hiding) = (label_of(kind), covered.then(|| label_of(other(kind))));
         let mut lengths: Vec<f64> = self
-            .scan
+            .mesh
             .faces
             .iter()
-            .map(|f| (self.scan.vertices[f[1] as usize] - self.scan.vertices[f[0] as usize]).norm())
+            .map(|f| (self.mesh.vertices[f[1] as usize] - self.mesh.vertices[f[0] as usize]).norm())
             .collect();
         lengths.sort_by(f64::total_cmp);
         let typical = lengths.get(lengths.len() / 2).copied().unwrap_or(0.0);
         let mut out = Vec::new();
-        for face in &self.scan.faces {
+        for face in &self.mesh.faces {
             // Each edge is met once from either of its triangles.
             for (a, b) in [(face[0], face[1]), (face[1], face[2]), (face[2], face[0])] {
                 let (a, b) = (a as usize, b as usize);
                 if labels[a] == own && labels[b] != own && hiding != Some(labels[b]) {
                     // Labels change somewhere between; beyond a step in depth cloth goes no farther than elsewhere.
-                    let (p, way) = (self.scan.vertices[a], self.scan.vertices[b] - self.scan.vertices[a]);
+                    let (p, way) = (self.mesh.vertices[a], self.mesh.vertices[b] - self.mesh.vertices[a]);
                     out.push(p + way * (0.5 * (typical / way.norm().max(1e-12)).min(1.0)));
                 }
             }

@@ -16,6 +16,7 @@ use caphy_core::{Error, Result, Vec3, mesh};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
+use std::ops::Range;
 
 /// Sides of the cubes that patches of points and of edges are cut by [m]: folds are narrower; a neckline has to have some.
 const PATCH: f64 = 0.1;
@@ -70,9 +71,9 @@ pub struct Refinement {
     pub style: Style,
     /// The template of that style.
     pub template: Template,
-    /// It as it was compared with the scan [m].
-    pub worn: Vec<Vec3>,
-    /// Root mean square distance of the scan's edges from its boundary, along its surface [m]; 0 without edges.
+    /// It as it was compared with each scan [m].
+    pub worn: Vec<Vec<Vec3>>,
+    /// Root mean square distance of the scans' edges from its boundary, along its surface [m]; 0 without edges.
     pub edges_off_m: f64,
     /// Templates made on the way, beside the start.
     pub evaluations: usize,
@@ -80,11 +81,12 @@ pub struct Refinement {
     slopes: DMatrix<f64>,
 }
 
-/// A style as it is worn, and how the scan differs from it.
+/// A style as it is worn, and how scans differ from it.
 struct Trial {
     template: Template,
-    worn: Vec<Vec3>,
-    /// Distances over sigma: patches of points, then of edges.
+    /// In the pose of each scan [m].
+    worn: Vec<Vec<Vec3>>,
+    /// Distances over sigma: of each scan patches of points, then of edges.
     residuals: Vec<f64>,
 }
 
@@ -115,34 +117,33 @@ pub fn refine(
         let template = source.template(tailor, style, resolution_m)?;
         let worn = wear(&template)?;
         let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
-        Ok(Trial { template, worn, residuals })
+        Ok(Trial { template, worn: vec![worn], residuals })
     };
     let Worn { template, vertices: worn } = start;
     let start = &template.style.clone();
     let mut u = source.coordinates(start);
     let axes = u.len();
     let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
-    let mut now = Trial { template, worn, residuals };
+    let mut now = Trial { template, worn: vec![worn], residuals };
     let mut evaluations = 0;
     // Garments a difference away along each axis but some, towards the inside of the range; `None` where none can be made.
     let around = |u: &[f64], but: &[usize]| -> Result<Vec<Option<(Vec<f64>, Trial)>>> {
-        let beside = |axis: usize| {
+        let away = |axis: usize| {
             if but.contains(&axis) {
                 return Ok(None);
             }
-            let mut to = u.to_vec();
-            to[axis] += if to[axis] > 0.5 { -DIFFERENCE } else { DIFFERENCE };
+            let to = beside(u, axis);
             let trial = passed_over(source.at(start, &to).and_then(|style| attempt(&style)))?;
             Ok(trial.map(|t| (to, t)))
         };
-        (0..axes).into_par_iter().map(beside).collect()
+        (0..axes).into_par_iter().map(away).collect()
     };
     // What the scan says nothing of goes to the middle at once and stays there.
-    let mut beside = around(&u, &[])?;
+    let mut near = around(&u, &[])?;
     evaluations += axes;
     let cover = Cover::new(&seen);
     let mut unseen = Vec::new();
-    for (k, trial) in beside.iter().enumerate() {
+    for (k, trial) in near.iter().enumerate() {
         if !answered(&now, trial.as_ref()) || !cover.shows(&now, trial.as_ref())? {
             unseen.push(k);
         }
@@ -150,22 +151,30 @@ pub fn refine(
     if !unseen.is_empty() {
         unseen.iter().for_each(|&k| u[k] = MIDDLE);
         now = attempt(&source.at(start, &u)?)?;
-        beside = around(&u, &unseen)?;
+        near = around(&u, &unseen)?;
         evaluations += 1 + axes - unseen.len();
     }
     let mut slopes = DMatrix::zeros(now.residuals.len(), axes);
     for round in 0..if unseen.len() == axes { 0 } else { STEPS } {
         if round > 0 {
-            beside = around(&u, &unseen)?;
+            near = around(&u, &unseen)?;
             evaluations += axes - unseen.len();
         }
-        slopes = slopes_between(&u, &now, &beside);
-        let shared = shares_of(&gauss_newton(&u, &now, &slopes)?, &u, |to| attempt(&source.at(start, to)?))?;
-        evaluations += SHARES.len();
+        slopes = slopes_between(&u, &now, &near);
+        let step = gauss_newton(&u, &now, &slopes)?;
+        let shared: Vec<Option<(Vec<f64>, Trial)>> = SHARES
+            .par_iter()
+            .map(|share| {
+                let to: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + share * s).collect();
+                let trial = passed_over(source.at(start, &to).and_then(|style| attempt(&style)))?;
+                Ok(trial.map(|t| (to, t)))
+            })
+            .collect::<Result<_>>()?;
+        evaluations += shared.len();
         // Of the neighbours, too, one may be better than both.
         let best = shared
             .into_iter()
-            .chain(std::mem::take(&mut beside))
+            .chain(std::mem::take(&mut near))
             .flatten()
             .map(|(to, trial)| (cost(&to, &trial), to, trial))
             .min_by(|a, b| a.0.total_cmp(&b.0));
@@ -180,25 +189,13 @@ pub fn refine(
             _ => break,
         }
     }
-    Ok(patches.refinement(now, evaluations, slopes))
+    Ok(refinement(&[patches], now, evaluations, slopes))
 }
 
-/// Trials at shares of a step from `u` that can be made.
-fn shares_of(
-    step: &DVector<f64>,
-    u: &[f64],
-    attempt: impl Fn(&[f64]) -> Result<Trial> + Sync,
-) -> Result<Vec<Option<(Vec<f64>, Trial)>>> {
-    let at = |share: &f64| {
-        let to: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + share * s).collect();
-        Ok(passed_over(attempt(&to))?.map(|trial| (to, trial)))
-    };
-    SHARES.par_iter().map(at).collect()
-}
-
-/// Takes a refined style to templates with edges of about `resolution_m` [m]. Coarse cloth does not fold where finer cloth does and keeps
-/// farther from the skin: the same scan is that of a wider garment of finer triangles. How a step changes the residuals is known from the
-/// coarse garments; the residuals are those of the fine ones.
+/// Takes a refined style to templates with edges of about `to_m` [m], and to more scans: `seen` begins with the scan that it was refined with
+/// at `from_m`, `wear` takes a template to the pose of the scan of a number. Coarse cloth does not fold where finer cloth does and keeps
+/// farther from the skin: the same scan is that of a wider garment of finer triangles. How a step changes the residuals is known from
+/// coarse garments; the residuals are those of the fine ones. The folds of several scans are other ones each time.
 ///
 /// # Errors
 /// Those of [`refine`].
@@ -206,39 +203,92 @@ pub fn finish(
     source: &dyn TemplateSource,
     tailor: &Tailor,
     refined: &Refinement,
-    resolution_m: f64,
-    seen: Seen<'_>,
-    wear: impl Fn(&Template) -> Result<Vec<Vec3>> + Sync,
+    [from_m, to_m]: [f64; 2],
+    seen: &[Seen<'_>],
+    wear: impl Fn(&Template, usize) -> Result<Vec<Vec3>> + Sync,
 ) -> Result<Refinement> {
-    let patches = Patches::new(&seen);
-    let attempt = |style: &Style| -> Result<Trial> {
+    let patches: Vec<Patches> = seen.iter().map(Patches::new).collect();
+    let attempt = |style: &Style, resolution_m: f64, scans: Range<usize>| -> Result<Trial> {
         let template = source.template(tailor, style, resolution_m)?;
-        let worn = wear(&template)?;
-        let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
-        Ok(Trial { template, worn, residuals })
+        let one = |scan: usize| {
+            let worn = wear(&template, scan)?;
+            let residuals = patches[scan].residuals(&seen[scan], &worn, &template.mesh.faces)?;
+            Ok((worn, residuals))
+        };
+        let all: Vec<(Vec<Vec3>, Vec<f64>)> = scans.into_par_iter().map(one).collect::<Result<_>>()?;
+        let (worn, residuals): (Vec<_>, Vec<_>) = all.into_iter().unzip();
+        Ok(Trial { template, worn, residuals: residuals.concat() })
     };
     let start = &refined.style;
     let mut u = source.coordinates(start);
-    let mut now = attempt(start)?;
-    let mut evaluations = 1;
-    Error::check_length("residuals of a refined template", refined.slopes.nrows(), now.residuals.len())?;
-    for _ in 0..if u.is_empty() { 0 } else { FINE_STEPS } {
-        let step = gauss_newton(&u, &now, &refined.slopes)?;
-        let shared = shares_of(&step, &u, |to| attempt(&source.at(start, to)?))?;
-        evaluations += SHARES.len();
-        let costs = shared.into_iter().flatten().map(|(to, trial)| (cost(&to, &trial), to, trial));
-        let before = cost(&u, &now);
-        match costs.min_by(|a, b| a.0.total_cmp(&b.0)) {
-            Some((reached, to, trial)) if reached < before => {
-                (u, now) = (to, trial);
-                if reached > (1.0 - WORTH_IT) * before {
-                    break;
+    let mut evaluations = 0;
+    let mut slopes = refined.slopes.clone();
+    if slopes.iter().any(|s| *s != 0.0) && seen.len() > 1 {
+        let more = 1..seen.len();
+        let here = attempt(start, from_m, more.clone())?;
+        let beside = (0..u.len())
+            .map(|axis| {
+                if slopes.column(axis).iter().all(|s| *s == 0.0) {
+                    return Ok(None);
                 }
+                let to = beside(&u, axis);
+                let trial = passed_over(source.at(start, &to).and_then(|s| attempt(&s, from_m, more.clone())))?;
+                Ok(trial.map(|t| (to, t)))
+            })
+            .collect::<Result<Vec<_>>>()?;
+        evaluations += 1 + u.len();
+        let theirs = slopes_between(&u, &here, &beside);
+        slopes = DMatrix::from_fn(slopes.nrows() + theirs.nrows(), u.len(), |row, axis| {
+            if row < slopes.nrows() { slopes[(row, axis)] } else { theirs[(row - slopes.nrows(), axis)] }
+        });
+    }
+    let mut now = attempt(start, to_m, 0..seen.len())?;
+    evaluations += 1;
+    for _ in 0..if slopes.iter().any(|s| *s != 0.0) { FINE_STEPS } else { 0 } {
+        Error::check_length("residuals of a refined template", slopes.nrows(), now.residuals.len())?;
+        let step = gauss_newton(&u, &now, &slopes)?;
+        let before = cost(&u, &now);
+        let mut gained = 0.0;
+        for share in SHARES {
+            let to: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + share * s).collect();
+            evaluations += 1;
+            let trial = passed_over(source.at(start, &to).and_then(|s| attempt(&s, to_m, 0..seen.len())))?;
+            if let Some(trial) = trial.filter(|t| cost(&to, t) < before) {
+                gained = before - cost(&to, &trial);
+                (u, now) = (to, trial);
+                break;
             }
-            _ => break,
+        }
+        if gained < WORTH_IT * before {
+            break;
         }
     }
-    Ok(patches.refinement(now, evaluations, refined.slopes.clone()))
+    Ok(refinement(&patches, now, evaluations, slopes))
+}
+
+/// The place a difference away along one axis, towards the inside of the range.
+fn beside(u: &[f64], axis: usize) -> Vec<f64> {
+    let mut to = u.to_vec();
+    to[axis] += if to[axis] > 0.5 { -DIFFERENCE } else { DIFFERENCE };
+    to
+}
+
+fn refinement(patches: &[Patches], trial: Trial, evaluations: usize, slopes: DMatrix<f64>) -> Refinement {
+    let (mut square, mut count, mut at) = (0.0, 0usize, 0);
+    for patches in patches {
+        let edges = at + patches.points.len();
+        at = edges + patches.edges.len();
+        square += trial.residuals[edges..at].iter().map(|r| (r * SIGMA).powi(2)).sum::<f64>();
+        count += patches.edges.len();
+    }
+    Refinement {
+        style: trial.template.style.clone(),
+        edges_off_m: (square / count.max(1) as f64).sqrt(),
+        template: trial.template,
+        worn: trial.worn,
+        evaluations,
+        slopes,
+    }
 }
 
 /// Whether enough patches answer to a step along an axis, where one can be made.
@@ -271,7 +321,7 @@ impl Cover {
         let (mut differing, mut hidden) = (0, 0);
         for (a, b) in [(now, other), (other, now)] {
             let surface = NearestSurface::from_mesh(&b.template.mesh)?;
-            for (rest, worn) in a.template.mesh.vertices.iter().zip(&a.worn) {
+            for (rest, worn) in a.template.mesh.vertices.iter().zip(a.worn.iter().flatten()) {
                 if surface.nearest(rest).is_none_or(|near| near.squared_distance > DIFFERS * DIFFERS) {
                     differing += 1;
                     hidden += usize::from(self.hides(worn));
@@ -369,18 +419,6 @@ struct Patches {
 impl Patches {
     fn new(seen: &Seen<'_>) -> Self {
         Self { points: in_cubes(seen.points, PATCH), edges: in_cubes(seen.edges, EDGE_PATCH) }
-    }
-    fn refinement(&self, trial: Trial, evaluations: usize, slopes: DMatrix<f64>) -> Refinement {
-        let edges = &trial.residuals[self.points.len()..];
-        let square: f64 = edges.iter().map(|r| (r * SIGMA).powi(2)).sum();
-        Refinement {
-            style: trial.template.style.clone(),
-            edges_off_m: (square / edges.len().max(1) as f64).sqrt(),
-            template: trial.template,
-            worn: trial.worn,
-            evaluations,
-            slopes,
-        }
     }
     /// Median signed distance over sigma of each patch from a garment.
     fn residuals(&self, seen: &Seen<'_>, vertices: &[Vec3], faces: &[[u32; 3]]) -> Result<Vec<f64>> {

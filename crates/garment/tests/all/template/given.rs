@@ -358,9 +358,9 @@ fn a_folder_offers_the_garments_of_a_kind_and_a_scan_chooses() {
     let again = |_: &Template| -> Result<Vec<Vec3>> { panic!("worn again") };
     let start = Worn { template: candidates[1].clone(), vertices: posed[1].clone() };
     let refined = refine(&*source, tailor(), start, 0.03, seen, again).unwrap();
-    assert_eq!((&refined.style, &refined.worn, refined.evaluations), (&uppers[1], &posed[1], 0));
-    let vertices = |t: &Template| Ok(t.mesh.vertices.clone());
-    let finished = finish(&*source, tailor(), &refined, 0.03, seen, vertices).unwrap();
+    assert_eq!((&refined.style, &refined.worn[0], refined.evaluations), (&uppers[1], &posed[1], 0));
+    let vertices = |t: &Template, _: usize| Ok(t.mesh.vertices.clone());
+    let finished = finish(&*source, tailor(), &refined, [0.03; 2], &[seen], vertices).unwrap();
     assert_eq!((&finished.style, finished.evaluations), (&uppers[1], 1));
     assert!(source.template(tailor(), &styles[0], 0.03).is_err());
     // The style goes into artifacts and comes back.
