@@ -9,7 +9,7 @@ pub use templates::TemplateChoice;
 use super::scans::{ScanFrame, hash_scan, read_framed, read_scan_of, start_poses};
 use super::{Context, ScanFile, Scans, StageOutput};
 use crate::artifact;
-use crate::config::{ScansConfig, SubjectConfig};
+use crate::config::{Config, ScansConfig, SubjectConfig};
 use crate::fixed_shape::FixedShape;
 use crate::garment::FittedGarment;
 use crate::pictures;
@@ -128,6 +128,7 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
         skipped.push(SkippedScan { name: file.name.clone(), problem: error.to_string() });
         failures.push(error);
     };
+    let [until_labels, until_bodies] = shares(config, scans.list.len());
     let done = AtomicUsize::new(0);
     let started = Instant::now();
     let known: Vec<Result<LabelledScan>> = scans
@@ -137,7 +138,7 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
         .map(|(file, start)| {
             let known = labelled_scan(context, &*body, &*segmenter, file, start);
             let share = (done.fetch_add(1, Ordering::Relaxed) + 1) as f64 / count;
-            progress.set(0.5 * share, &format!("labels and start of {}", file.name));
+            progress.set(until_labels * share, &format!("labels and start of {}", file.name));
             known
         })
         .collect();
@@ -153,7 +154,7 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     }
     context.time(SCANS_TIME, started.elapsed().as_secs_f64());
     let started = Instant::now();
-    let fitted = fit_bodies(context, &*body, &mut labelled, &mut skip)?;
+    let fitted = fit_bodies(context, &*body, &mut labelled, &mut skip, [until_labels, until_bodies])?;
     context.time(BODIES_TIME, started.elapsed().as_secs_f64());
     let Some((shape, displacement)) = fitted else {
         // The first problem: later ones often follow from the same cause.
@@ -195,13 +196,25 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
         });
     }
 
-    progress.set(0.8, "garment templates");
     let choosing = templates::Choosing::new(context, body.clone(), &subject, scans)?;
-    let (garments, choices) = choosing.all()?;
+    let (garments, choices) = choosing.all([until_bodies, PICTURES])?;
     (subject.garments, subject.choices) = (garments, choices);
-    progress.set(0.95, "pictures");
+    progress.set(PICTURES, "pictures");
     subject.pictures = draw(context, &*body, &subject_body, &subject, scans)?;
     Ok(subject)
+}
+
+/// Share of the work that is done when only pictures are left.
+const PICTURES: f64 = 0.98;
+
+/// Shares of the work that are done with all scans labelled, and with all bodies fitted.
+fn shares(config: &Config, scans: usize) -> [f64; 2] {
+    // About seconds on one machine; what counts is how they compare.
+    let (labels, bodies) = (2.8 * scans as f64, 2.0 * scans as f64);
+    let on = config.templates.scans.min(scans);
+    let templates: f64 = config.garments().map(|g| templates::effort(g.2, on)).sum();
+    let all = (labels + bodies + templates) / PICTURES;
+    [labels / all, (labels + bodies) / all]
 }
 
 /// A scan as it is known by itself: the artifact of one file.
@@ -305,6 +318,7 @@ fn fit_bodies(
     body: &dyn BodyModel,
     labelled: &mut Vec<(&ScanFile, LabelledScan)>,
     skip: &mut dyn FnMut(&ScanFile, Error),
+    [from, to]: [f64; 2],
 ) -> Result<Option<(Vec<f64>, Vec<Vec3>)>> {
     let (config, progress) = (context.config, context.progress);
     loop {
@@ -318,7 +332,7 @@ fn fit_bodies(
         let starts: Vec<ScanStart> = training.iter().map(|&i| labelled[i].1.start.clone()).collect();
         let share = training.len() as f64 / labelled.len() as f64;
         let fit = register_from(body, &inputs, &starts, &config.registration, &|s| {
-            progress.set(0.5 + 0.3 * share * s, "body under the clothes");
+            progress.set(from + (to - from) * share * s, "body under the clothes");
         })?;
         let mut subject_body = body.rest(&fit.shape);
         subject_body.displacement = fit.displacement.clone();

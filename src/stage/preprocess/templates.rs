@@ -14,16 +14,17 @@ use crate::stage::scans::read_framed;
 use crate::stage::{Context, Scans, material};
 use caphy_core::body::{BodyModel, PosedBody};
 use caphy_core::material::MaterialModel;
+use caphy_core::query::{NearestGrid, boundary_loops};
 use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::{
-    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, Worn, choose_template, finish,
+    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, Worn, choose_template, ease, finish,
     pose_by_nearest_vertex, refine, templates,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 /// Edge length of the templates that styles are compared with [m]: style does not show in detail.
 const CANDIDATE_RESOLUTION: f64 = 0.035;
@@ -31,11 +32,28 @@ const CANDIDATE_RESOLUTION: f64 = 0.035;
 const CANDIDATE_POINTS: usize = 3000;
 /// Points of the edges of a garment that styles are refined with.
 const EDGE_POINTS: usize = 600;
+/// Widest gap of a scan between cloth and where it ends, in its edges.
+const GAP: f64 = 4.0;
 /// Force that may be left on worn candidates, as a share of a vertex's weight, and most steps to get there: millimetres do not matter.
 const ROUGHLY: f64 = 0.05;
 const STEPS: usize = 60;
 /// Friction of cloth on skin and cloth, cotton on cotton: without it garments slide off shoulders.
 const FRICTION: f64 = 0.3;
+
+/// What finding a template costs, about in seconds.
+pub(super) fn effort(settings: &GarmentConfig, scans: usize) -> f64 {
+    if settings.worn == 0 {
+        return 2.0;
+    }
+    // Some rounds of refinement; each further scan is measured along all axes; then a few templates as fine as wanted.
+    let coarse = settings.worn + 12 + 5 * scans.saturating_sub(1);
+    coarse as f64 + 7.0 * scans as f64 * wearing((CANDIDATE_RESOLUTION / settings.resolution_m).powi(2))
+}
+
+/// What wearing a garment of so many times a candidate's vertices costs, in candidates.
+fn wearing(vertices: f64) -> f64 {
+    vertices.powf(1.25)
+}
 
 /// How a template was chosen.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -120,8 +138,8 @@ impl<'a> Choosing<'a> {
         Ok(Self { context, subject, standing, skin, tailor: Tailor::new(rest)?, body })
     }
 
-    /// All configured garments with how they were chosen, upper first.
-    pub(super) fn all(&self) -> Result<(Vec<FittedGarment>, Vec<TemplateChoice>)> {
+    /// All configured garments with how they were chosen, upper first; progress goes from the one share to the other.
+    pub(super) fn all(&self, [from, to]: [f64; 2]) -> Result<(Vec<FittedGarment>, Vec<TemplateChoice>)> {
         let config = self.context.config;
         let mut wanted: Vec<(GarmentKind, &str, &GarmentConfig)> = config.garments().collect();
         let outer = outer(config.finetune.layering.order);
@@ -129,10 +147,19 @@ impl<'a> Choosing<'a> {
         wanted.sort_by_key(|w| w.0 == outer);
         let mut inner: Option<Inner> = None;
         let mut found = Vec::new();
-        for (k, (kind, key, settings)) in wanted.into_iter().enumerate() {
-            self.context.progress.set(0.8 + 0.07 * k as f64, &format!("{kind} template"));
+        let effort = |settings: &GarmentConfig| effort(settings, self.standing.len());
+        let whole: f64 = wanted.iter().map(|w| effort(w.2)).sum();
+        let mut before = 0.0;
+        for (kind, key, settings) in wanted {
+            let own = effort(settings);
+            let tell = |spent: f64| {
+                let done = (before + spent.min(own)) / whole;
+                self.context.progress.set(from + (to - from) * done, &format!("{kind} template"));
+            };
+            tell(0.0);
             let fabric: Arc<dyn MaterialModel> = Arc::from(material(settings.worn_in(), key, None)?);
-            let (template, choice, worn) = self.choose(kind, settings, &fabric, inner.as_ref())?;
+            let (template, choice, worn) = self.choose(kind, settings, &fabric, inner.as_ref(), &tell)?;
+            before += own;
             inner = Some(worn);
             found.push((self.fitted(template, settings)?, choice));
         }
@@ -152,6 +179,7 @@ impl<'a> Choosing<'a> {
         settings: &GarmentConfig,
         fabric: &Arc<dyn MaterialModel>,
         inner: Option<&Inner>,
+        tell: &(impl Fn(f64) + Sync),
     ) -> Result<(Template, TemplateChoice, Inner)> {
         let covered = kind != outer(self.context.config.finetune.layering.order);
         let nearest = &self.standing[0];
@@ -170,9 +198,18 @@ impl<'a> Choosing<'a> {
         order.sort_by(|&a, &b| posed.report[a].squared.total_cmp(&posed.report[b].squared));
         let median = posed.report[order[order.len() / 2]].squared;
         order.truncate(settings.worn.max(1));
-        let wear = |t: &Template, scan: usize| match settings.worn {
-            0 => pose(t, scan),
-            _ => self.worn(t, scan, settings, fabric, inner),
+        let spent = Mutex::new(0.0);
+        let coarse = candidates.first().map_or(1, |c| c.mesh.vertices.len().max(1)) as f64;
+        let wear = |t: &Template, scan: usize| {
+            if settings.worn == 0 {
+                return pose(t, scan);
+            }
+            let worn = self.worn(t, scan, settings, fabric, inner);
+            if let Ok(mut spent) = spent.lock() {
+                *spent += wearing(t.mesh.vertices.len() as f64 / coarse);
+                tell(*spent);
+            }
+            worn
         };
         let worn: Vec<Result<Vec<Vec3>>> = order.par_iter().map(|&i| wear(&candidates[i], 0)).collect();
         let worn = worn.into_iter().collect::<Result<Vec<_>>>()?;
@@ -187,6 +224,7 @@ impl<'a> Choosing<'a> {
         let all: Vec<Seen<'_>> = std::iter::once(seen).chain(more).collect();
         let resolutions = [CANDIDATE_RESOLUTION, settings.resolution_m];
         let finished = finish(&*source, tailor, &refined, resolutions, &all, wear)?;
+        let finished = ease(tailor, finished, &all, wear)?;
         let choice = TemplateChoice {
             kind,
             scan: nearest.of.name.clone(),
@@ -263,37 +301,67 @@ impl Standing<'_> {
     fn of_label(&self, label: Label) -> Vec<Vec3> {
         self.of.points.with_label(label).0
     }
-    /// Where a garment ends in the scan [m]: at skin, and, unless the other garment covers it, at that one.
     fn edges(&self, kind: GarmentKind, covered: bool) -> Vec<Vec3> {
-        let labels = &self.of.points.labels;
-        let (own, hiding) = (label_of(kind), covered.then(|| label_of(other(kind))));
-        let mut lengths: Vec<f64> = self
-            .mesh
-            .faces
-            .iter()
-            .map(|f| (self.mesh.vertices[f[1] as usize] - self.mesh.vertices[f[0] as usize]).norm())
-            .collect();
-        lengths.sort_by(f64::total_cmp);
-        let typical = lengths.get(lengths.len() / 2).copied().unwrap_or(0.0);
-        let mut out = Vec::new();
-        for face in &self.mesh.faces {
-            // Each edge is met once from either of its triangles.
-            for (a, b) in [(face[0], face[1]), (face[1], face[2]), (face[2], face[0])] {
-                let (a, b) = (a as usize, b as usize);
-                if labels[a] == own && labels[b] != own && hiding != Some(labels[b]) {
-                    // Labels change somewhere between; beyond a step in depth cloth goes no farther than elsewhere.
-                    let (p, way) = (self.mesh.vertices[a], self.mesh.vertices[b] - self.mesh.vertices[a]);
-                    out.push(p + way * (0.5 * (typical / way.norm().max(1e-12)).min(1.0)));
-                }
+        let hiding = covered.then(|| label_of(other(kind)));
+        ends(&self.mesh, &self.of.points.labels, label_of(kind), hiding)
+    }
+}
+
+/// Where cloth of a label ends in a scan [m]: at skin, and at the other garment unless that one hides it; also across a gap that no camera
+/// looked into, as under a collar. Other holes are no ends.
+fn ends(mesh: &TriMesh, labels: &[Label], own: Label, hiding: Option<Label>) -> Vec<Vec3> {
+    let place = |v: u32| mesh.vertices[v as usize];
+    let mut lengths: Vec<f64> = mesh.faces.iter().map(|f| (place(f[1]) - place(f[0])).norm()).collect();
+    lengths.sort_by(f64::total_cmp);
+    let typical = lengths.get(lengths.len() / 2).copied().unwrap_or(0.0);
+    let ends_at = |label: Label| label != own && hiding != Some(label);
+    let mut out = Vec::new();
+    for face in &mesh.faces {
+        // Each edge is met once from either of its triangles.
+        for (a, b) in [(face[0], face[1]), (face[1], face[2]), (face[2], face[0])] {
+            if labels[a as usize] == own && ends_at(labels[b as usize]) {
+                // Labels change somewhere between; beyond a step in depth cloth goes no farther than elsewhere.
+                let way = place(b) - place(a);
+                out.push(place(a) + way * (0.5 * (typical / way.norm().max(1e-12)).min(1.0)));
             }
         }
-        out
     }
+    let rim: Vec<u32> = boundary_loops(&mesh.faces).into_iter().flatten().collect();
+    let beyond: Vec<Vec3> = rim.iter().filter(|v| ends_at(labels[**v as usize])).map(|&v| place(v)).collect();
+    let beyond = NearestGrid::from_points(&beyond);
+    let gap = GAP * typical;
+    let on_rim = rim.into_iter().filter(|&v| labels[v as usize] == own).map(place);
+    out.extend(on_rim.filter(|p| beyond.nearest_point(p).is_some_and(|(_, square)| square < gap * gap)));
+    out
 }
 
 fn other(kind: GarmentKind) -> GarmentKind {
     match kind {
         GarmentKind::Upper => GarmentKind::Lower,
         GarmentKind::Lower => GarmentKind::Upper,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cloth_ends_at_skin_and_across_gaps_and_not_at_holes() {
+        // A sheet of 1 cm squares: cloth up to x = 0.1, skin from there on.
+        let square = |i: u32| [[i, i + 1, i + 21], [i + 1, i + 22, i + 21]];
+        let sheet = |keep: &dyn Fn(u32) -> bool| TriMesh {
+            vertices: (0..441).map(|i| Vec3::new(f64::from(i % 21), f64::from(i / 21), 0.0) * 0.01).collect(),
+            faces: (0..420).filter(|i| i % 21 < 20 && keep(*i)).flat_map(square).collect(),
+        };
+        let label = |i: usize| if i % 21 <= 10 { Label::Upper } else { Label::Body };
+        let labels: Vec<Label> = (0..441).map(label).collect();
+        let whole = ends(&sheet(&|_| true), &labels, Label::Upper, None);
+        assert!(!whole.is_empty() && whole.iter().all(|p| p.x > 0.1 && p.x < 0.11));
+        assert!(ends(&sheet(&|_| true), &labels, Label::Upper, Some(Label::Body)).is_empty());
+        // A gap of two squares beside the cloth, and a hole in the middle of it.
+        let torn = sheet(&|i| !(10..12).contains(&(i % 21)) && !(i % 21 == 4 && i / 21 == 9));
+        let across = ends(&torn, &labels, Label::Upper, None);
+        assert!(across.len() >= 21 && across.iter().filter(|p| p.x < 0.0999).count() == 0, "{across:?}");
     }
 }

@@ -8,6 +8,7 @@
 
 mod choose;
 mod distance;
+mod ease;
 mod facts;
 mod given;
 mod grain;
@@ -22,6 +23,7 @@ mod style;
 mod surface;
 
 pub use choose::{Chamfer, Choice, ChooseOptions, choose_template, pose_by_nearest_vertex, pose_by_weights};
+pub use ease::ease;
 pub use facts::{GarmentFacts, GarmentMeasures, LengthFacts, LoopFacts, MeasureErrors, Quantiles};
 pub use given::{FitOptions, GivenFacts, GivenMesh, LayoutFacts, PenetrationFacts, PenetrationOptions, Repairs};
 pub use refine::{Refinement, Seen, Worn, finish, refine};

@@ -64,10 +64,10 @@ pub struct Worn {
     pub vertices: Vec<Vec3>,
 }
 
-/// Outcome of [`refine`] and of [`finish`].
+/// Outcome of [`refine`], [`finish`] and [`ease`](super::ease).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refinement {
-    /// The best style found.
+    /// The best style found; an eased template differs from it.
     pub style: Style,
     /// The template of that style.
     pub template: Template,
@@ -274,20 +274,34 @@ fn beside(u: &[f64], axis: usize) -> Vec<f64> {
 }
 
 fn refinement(patches: &[Patches], trial: Trial, evaluations: usize, slopes: DMatrix<f64>) -> Refinement {
-    let (mut square, mut count, mut at) = (0.0, 0usize, 0);
-    for patches in patches {
-        let edges = at + patches.points.len();
-        at = edges + patches.edges.len();
-        square += trial.residuals[edges..at].iter().map(|r| (r * SIGMA).powi(2)).sum::<f64>();
-        count += patches.edges.len();
-    }
     Refinement {
         style: trial.template.style.clone(),
-        edges_off_m: (square / count.max(1) as f64).sqrt(),
+        edges_off_m: edges_off(patches, &trial.residuals),
         template: trial.template,
         worn: trial.worn,
         evaluations,
         slopes,
+    }
+}
+
+/// Root mean square distance of edges [m].
+fn edges_off(patches: &[Patches], residuals: &[f64]) -> f64 {
+    let (mut square, mut count, mut at) = (0.0, 0usize, 0);
+    for patches in patches {
+        let edges = at + patches.points.len();
+        at = edges + patches.edges.len();
+        square += residuals[edges..at].iter().map(|r| (r * SIGMA).powi(2)).sum::<f64>();
+        count += patches.edges.len();
+    }
+    (square / count.max(1) as f64).sqrt()
+}
+
+impl Refinement {
+    /// Another template of the same style, worn in the same scans.
+    pub(super) fn replace(&mut self, patches: &[Patches], template: Template, worn: Vec<Vec<Vec3>>, residuals: &[f64]) {
+        (self.template, self.worn) = (template, worn);
+        self.edges_off_m = edges_off(patches, residuals);
+        self.evaluations += 1;
     }
 }
 
@@ -336,7 +350,12 @@ impl Cover {
 /// Half the sum of squares, robust, with the prior's.
 fn cost(u: &[f64], trial: &Trial) -> f64 {
     let prior: f64 = u.iter().map(|u| ((u - MIDDLE) / PRIOR).powi(2)).sum();
-    0.5 * prior + trial.residuals.iter().map(|r| huber(*r).0).sum::<f64>()
+    0.5 * prior + cost_of(&trial.residuals)
+}
+
+/// Half the sum of squares, robust.
+pub(super) fn cost_of(residuals: &[f64]) -> f64 {
+    residuals.iter().map(|r| huber(*r).0).sum()
 }
 
 /// Change of residuals per axis between trials; 0 where it is not more than other folds are, and along axes without a trial.
@@ -386,7 +405,7 @@ fn huber(r: f64) -> (f64, f64) {
 /// A mesh whose triangles are cut in four, edge middles moved out to where a smooth surface through the vertices has them: flat triangles of
 /// candidates lie deeper than cloth by L²/8r, 3 mm on an arm. (Phong tessellation, Boubekeur and Alexa 2008, at the strength that is
 /// exact on circles.)
-fn rounded(vertices: &[Vec3], faces: &[[u32; 3]]) -> (Vec<Vec3>, Vec<[u32; 3]>) {
+pub(super) fn rounded(vertices: &[Vec3], faces: &[[u32; 3]]) -> (Vec<Vec3>, Vec<[u32; 3]>) {
     let normals = mesh::vertex_normals(vertices, faces);
     let mut out = vertices.to_vec();
     let mut middles: HashMap<[u32; 2], u32> = HashMap::new();
@@ -411,17 +430,17 @@ fn rounded(vertices: &[Vec3], faces: &[[u32; 3]]) -> (Vec<Vec3>, Vec<[u32; 3]>) 
 }
 
 /// Points that are taken together.
-struct Patches {
+pub(super) struct Patches {
     points: Vec<Vec<usize>>,
     edges: Vec<Vec<usize>>,
 }
 
 impl Patches {
-    fn new(seen: &Seen<'_>) -> Self {
+    pub(super) fn new(seen: &Seen<'_>) -> Self {
         Self { points: in_cubes(seen.points, PATCH), edges: in_cubes(seen.edges, EDGE_PATCH) }
     }
     /// Median signed distance over sigma of each patch from a garment.
-    fn residuals(&self, seen: &Seen<'_>, vertices: &[Vec3], faces: &[[u32; 3]]) -> Result<Vec<f64>> {
+    pub(super) fn residuals(&self, seen: &Seen<'_>, vertices: &[Vec3], faces: &[[u32; 3]]) -> Result<Vec<f64>> {
         let (round, fine) = rounded(vertices, faces);
         let surface = NearestSurface::new(&round, &fine)?;
         let boundary = Boundary::new(vertices, faces);

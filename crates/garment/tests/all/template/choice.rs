@@ -3,7 +3,7 @@
 use super::{body, shirt, trousers};
 use caphy_core::{Error, Vec3};
 use caphy_garment::template::{
-    ChooseOptions, GarmentKind, Seen, Tailor, Template, TemplateParametric, Worn, choose_template, finish,
+    ChooseOptions, GarmentKind, Seen, Tailor, Template, TemplateParametric, Worn, choose_template, ease, finish,
     pose_by_nearest_vertex, pose_by_weights, refine, sample_styles,
 };
 use nalgebra::{Matrix3x4, Rotation3};
@@ -130,6 +130,46 @@ fn coarse_cloth_that_stands_off_does_not_make_the_fine_template_narrower() {
     let error = fine.template.measures().against(&scanned.measures());
     assert!(error.largest_m() < 0.01 && error.area.abs() < 0.01, "{error:?}");
     assert!(fine.worn.len() == 2 && fine.worn.iter().all(|w| w.len() == fine.template.mesh.vertices.len()));
+}
+
+#[test]
+fn a_shirt_that_is_wider_in_places_is_cut_wider_there() {
+    let tailor = Tailor::new(body::capsules()).unwrap();
+    let style = shirt(0.42, 0.55, 0.02, 0.3);
+    let start = tailor.generate(&style, 0.022).unwrap();
+    // The scan's trunk is wider by 6 mm all around, with folds of 4 mm; its sleeves are not.
+    let scanned = tailor.generate(&style, 0.02).unwrap();
+    let wider = |p: &Vec3| if p.x.abs() < 0.16 { 0.006 } else { 0.0 };
+    let out = |mesh: &caphy_core::TriMesh, by: &dyn Fn(&Vec3) -> f64| -> Vec<Vec3> {
+        mesh.vertices.iter().zip(mesh.vertex_normals()).map(|(p, n)| p + n * by(p)).collect()
+    };
+    let truth = Template {
+        mesh: caphy_core::TriMesh { vertices: out(&scanned.mesh, &wider), faces: scanned.mesh.faces.clone() },
+        ..scanned.clone()
+    };
+    let folded = |p: &Vec3| wider(p) + 0.004 * (90.0 * p.x).sin();
+    let scan = out(&scanned.mesh, &folded);
+    let seen = Seen { points: &scan, edges: &[], covered_by: &[] };
+    let wear = |t: &Template, _: usize| Ok(vertices(t));
+    let worn = Worn { vertices: vertices(&start), template: start.clone() };
+    let mut as_cut = refine(&TemplateParametric {}, &tailor, worn, 0.022, seen, |t| wear(t, 0)).unwrap();
+    (as_cut.template, as_cut.worn) = (start.clone(), vec![vertices(&start)]);
+    let eased = ease(&tailor, as_cut, &[seen], wear).unwrap();
+    let errors = |t: &Template| t.measures().against(&truth.measures());
+    let girth =
+        |t: &Template, name: &str| errors(t).lengths_m.iter().find(|(n, _)| n == name).map_or(f64::NAN, |(_, d)| *d);
+    // 6 mm all around are 38 mm of girth.
+    assert!(
+        girth(&start, "hem") < -0.03 && girth(&eased.template, "hem").abs() < 0.01,
+        "{:?}",
+        errors(&eased.template)
+    );
+    assert!(girth(&eased.template, "cuff_left").abs() < 0.01 && girth(&eased.template, "cuff_right").abs() < 0.01);
+    assert!(errors(&start).area < -0.01 && errors(&eased.template).area.abs() < 0.01, "{:?}", errors(&eased.template));
+    // Folds of 4 mm are not in it: no vertex lies farther out than the trunk does, and a millimetre.
+    let surface = caphy_core::query::NearestSurface::from_mesh(&truth.mesh).unwrap();
+    let farthest = eased.template.mesh.vertices.iter().filter_map(|p| surface.nearest(p)).map(|n| n.squared_distance);
+    assert!(farthest.fold(0.0, f64::max).sqrt() < 0.005);
 }
 
 #[test]

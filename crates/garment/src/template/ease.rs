@@ -1,0 +1,109 @@
+//! A template as wide as the scans show it, where no style says so.
+//!
+//! A style has one ease for all of a garment, and it is cut on a body that is itself millimetres off under cloth. What is left between the
+//! worn template and the scans, averaged over a wide neighbourhood and several poses so that folds cancel, is how much wider the garment is
+//! there: it moves along its normals by that. Differs from the paper, whose template is a style's.
+
+use super::refine::{Patches, Refinement, Seen, cost_of, rounded};
+use super::{Tailor, Template};
+use crate::template::grain;
+use caphy_core::query::NearestSurface;
+use caphy_core::{Error, Result, Vec3};
+use rayon::prelude::*;
+
+/// Width of the neighbourhood that distances are averaged over [m]: wider than folds, narrower than a trunk.
+const WIDTH: f64 = 0.06;
+/// Distances beyond this pull no harder [m].
+const LARGEST: f64 = 0.01;
+/// So many points of no distance are everywhere per scan: what few points show moves little.
+const STILL: f64 = 4.0;
+/// Most rounds: worn again, cloth answers less than it was moved where it folds.
+const ROUNDS: usize = 2;
+
+/// Moves a finished template towards scans; `wear` as of [`super::finish`]. Given garments keep their own shape.
+///
+/// # Errors
+/// Those of `wear`.
+pub fn ease(
+    tailor: &Tailor,
+    finished: Refinement,
+    seen: &[Seen<'_>],
+    wear: impl Fn(&Template, usize) -> Result<Vec<Vec3>> + Sync,
+) -> Result<Refinement> {
+    let mut now = finished;
+    if now.template.given.is_some() {
+        return Ok(now);
+    }
+    let patches: Vec<Patches> = seen.iter().map(Patches::new).collect();
+    let residuals = |worn: &[Vec<Vec3>], faces: &[[u32; 3]]| -> Result<Vec<f64>> {
+        let each = patches.iter().zip(seen).zip(worn).map(|((p, s), w)| p.residuals(s, w, faces));
+        Ok(each.collect::<Result<Vec<_>>>()?.concat())
+    };
+    let mut cost = cost_of(&residuals(&now.worn, &now.template.mesh.faces)?);
+    for _ in 0..ROUNDS {
+        let template = tailor.moved(&now.template, &offsets(&now.template, &now.worn, seen)?);
+        let worn = (0..seen.len()).into_par_iter().map(|scan| wear(&template, scan)).collect::<Result<Vec<_>>>();
+        let worn = match worn {
+            // What cannot be worn is no better.
+            Err(Error::Numerics { .. } | Error::Mesh { .. }) => break,
+            worn => worn?,
+        };
+        let residuals = residuals(&worn, &template.mesh.faces)?;
+        let reached = cost_of(&residuals);
+        if reached >= cost {
+            break;
+        }
+        cost = reached;
+        now.replace(&patches, template, worn, &residuals);
+    }
+    Ok(now)
+}
+
+/// How far scans lie outside of a worn template around each of its vertices [m].
+fn offsets(template: &Template, worn: &[Vec<Vec3>], seen: &[Seen<'_>]) -> Result<Vec<f64>> {
+    let (rest, faces) = (&template.mesh.vertices, &template.mesh.faces);
+    let mut known: Vec<(Vec3, f64)> = Vec::new();
+    for (vertices, seen) in worn.iter().zip(seen) {
+        let flat = NearestSurface::new(vertices, faces)?;
+        let (round, fine) = rounded(vertices, faces);
+        let surface = NearestSurface::new(&round, &fine)?;
+        for p in seen.points {
+            let (Some(place), Some(near)) = (flat.nearest(p), surface.nearest(p)) else { continue };
+            let corners = faces[place.face as usize].map(|v| rest[v as usize]);
+            let at: Vec3 = corners.iter().zip(&place.barycentric).map(|(c, w)| c * *w).sum();
+            let [a, b, c] = fine[near.face as usize].map(|v| round[v as usize]);
+            let normal = (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vec3::zeros);
+            known.push((at, (p - near.point).dot(&normal).clamp(-LARGEST, LARGEST)));
+        }
+    }
+    let still = STILL * seen.len() as f64;
+    let around = |p: &Vec3| {
+        let (mut sum, mut weight) = (0.0, still);
+        for (at, distance) in &known {
+            let square = (p - at).norm_squared() / (WIDTH * WIDTH);
+            // Beyond three widths a point weighs less than a hundredth.
+            if square < 9.0 {
+                let w = (-0.5 * square).exp();
+                sum += w * distance;
+                weight += w;
+            }
+        }
+        sum / weight
+    };
+    Ok(rest.par_iter().map(around).collect())
+}
+
+impl Tailor {
+    /// A template whose vertices lie so far outside of where they did [m], or as far as the skin lets them.
+    fn moved(&self, template: &Template, offsets: &[f64]) -> Template {
+        let mut mesh = template.mesh.clone();
+        for ((p, n), d) in mesh.vertices.iter_mut().zip(template.mesh.vertex_normals()).zip(offsets) {
+            *p += n * *d;
+        }
+        self.push_out(&mut mesh);
+        let weights_body_vertex = self.nearest_skin(template.kind, &mesh);
+        let material_uv = grain::material_uv(&mesh, &self.body, &weights_body_vertex);
+        let clearance_m = mesh.vertices.iter().map(|p| self.distance(p)).fold(f64::INFINITY, f64::min);
+        Template { mesh, weights_body_vertex, material_uv, clearance_m, ..template.clone() }
+    }
+}
