@@ -158,14 +158,12 @@ fn a_shirt_that_is_wider_in_places_is_cut_wider_there() {
     let errors = |t: &Template| t.measures().against(&truth.measures());
     let girth =
         |t: &Template, name: &str| errors(t).lengths_m.iter().find(|(n, _)| n == name).map_or(f64::NAN, |(_, d)| *d);
-    // 6 mm all around are 38 mm of girth.
-    assert!(
-        girth(&start, "hem") < -0.03 && girth(&eased.template, "hem").abs() < 0.01,
-        "{:?}",
-        errors(&eased.template)
-    );
+    // Front and back of the hem lie 6 mm farther out; what is beside them does not.
+    let [before, after] = [&start, &eased.template].map(|t| girth(t, "hem").abs());
+    assert!(before > 0.01 && after < 0.005, "{before} {after}");
     assert!(girth(&eased.template, "cuff_left").abs() < 0.01 && girth(&eased.template, "cuff_right").abs() < 0.01);
-    assert!(errors(&start).area < -0.01 && errors(&eased.template).area.abs() < 0.01, "{:?}", errors(&eased.template));
+    let [before, after] = [&start, &eased.template].map(|t| errors(t).area.abs());
+    assert!(before > 0.01 && after < 0.005, "{before} {after}");
     // Folds of 4 mm are not in it: no vertex lies farther out than the trunk does, and a millimetre.
     let surface = caphy_core::query::NearestSurface::from_mesh(&truth.mesh).unwrap();
     let farthest = eased.template.mesh.vertices.iter().filter_map(|p| surface.nearest(p)).map(|n| n.squared_distance);
