@@ -4,11 +4,10 @@
 //! worn template and the scans, averaged over a wide neighbourhood and several poses so that folds cancel, is how much wider the garment is
 //! there: it moves along its normals by that. Differs from the paper, whose template is a style's.
 
-use super::refine::{Patches, Refinement, Seen, cost_of, rounded};
-use super::{Tailor, Template};
-use crate::template::grain;
+use super::refine::{Patches, Refinement, Seen, cost_of, passed_over, rounded};
+use super::{Tailor, Template, grain};
 use caphy_core::query::NearestSurface;
-use caphy_core::{Error, Result, Vec3};
+use caphy_core::{Result, Vec3};
 use rayon::prelude::*;
 
 /// Width of the neighbourhood that distances are averaged over [m]: wider than folds, narrower than a trunk.
@@ -43,11 +42,7 @@ pub fn ease(
     for _ in 0..ROUNDS {
         let template = tailor.moved(&now.template, &offsets(&now.template, &now.worn, seen)?);
         let worn = (0..seen.len()).into_par_iter().map(|scan| wear(&template, scan)).collect::<Result<Vec<_>>>();
-        let worn = match worn {
-            // What cannot be worn is no better.
-            Err(Error::Numerics { .. } | Error::Mesh { .. }) => break,
-            worn => worn?,
-        };
+        let Some(worn) = passed_over(worn)? else { break };
         let residuals = residuals(&worn, &template.mesh.faces)?;
         let reached = cost_of(&residuals);
         if reached >= cost {

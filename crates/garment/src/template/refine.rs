@@ -385,7 +385,7 @@ fn gauss_newton(u: &[f64], now: &Trial, slopes: &DMatrix<f64>) -> Result<DVector
 }
 
 /// `None` for a style that no garment can be made of, or worn.
-fn passed_over<T>(trial: Result<T>) -> Result<Option<T>> {
+pub(super) fn passed_over<T>(trial: Result<T>) -> Result<Option<T>> {
     match trial {
         Ok(trial) => Ok(Some(trial)),
         Err(Error::Numerics { .. } | Error::Mesh { .. }) => Ok(None),

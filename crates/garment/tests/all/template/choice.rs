@@ -137,7 +137,7 @@ fn a_shirt_that_is_wider_in_places_is_cut_wider_there() {
     let tailor = Tailor::new(body::capsules()).unwrap();
     let style = shirt(0.42, 0.55, 0.02, 0.3);
     let start = tailor.generate(&style, 0.022).unwrap();
-    // The scan's trunk is wider by 6 mm all around, with folds of 4 mm; its sleeves are not.
+    // Front and back of the scan's trunk lie 6 mm farther out, with folds of 4 mm; its sleeves are not.
     let scanned = tailor.generate(&style, 0.02).unwrap();
     let wider = |p: &Vec3| if p.x.abs() < 0.16 { 0.006 } else { 0.0 };
     let out = |mesh: &caphy_core::TriMesh, by: &dyn Fn(&Vec3) -> f64| -> Vec<Vec3> {
@@ -164,10 +164,12 @@ fn a_shirt_that_is_wider_in_places_is_cut_wider_there() {
     assert!(girth(&eased.template, "cuff_left").abs() < 0.01 && girth(&eased.template, "cuff_right").abs() < 0.01);
     let [before, after] = [&start, &eased.template].map(|t| errors(t).area.abs());
     assert!(before > 0.01 && after < 0.005, "{before} {after}");
-    // Folds of 4 mm are not in it: no vertex lies farther out than the trunk does, and a millimetre.
+    // Folds of 4 mm, 2.8 mm root mean square, are not in it by half.
     let surface = caphy_core::query::NearestSurface::from_mesh(&truth.mesh).unwrap();
-    let farthest = eased.template.mesh.vertices.iter().filter_map(|p| surface.nearest(p)).map(|n| n.squared_distance);
-    assert!(farthest.fold(0.0, f64::max).sqrt() < 0.005);
+    let off: Vec<f64> =
+        eased.template.mesh.vertices.iter().filter_map(|p| surface.nearest(p)).map(|n| n.squared_distance).collect();
+    let square = off.iter().sum::<f64>() / off.len() as f64;
+    assert!(square.sqrt() < 0.0014, "{}", square.sqrt());
 }
 
 #[test]
