@@ -32,6 +32,8 @@ const CANDIDATE_RESOLUTION: f64 = 0.035;
 const CANDIDATE_POINTS: usize = 3000;
 /// Points of the edges of a garment that styles are refined with.
 const EDGE_POINTS: usize = 600;
+/// Skin under cloth, and skin beside it where it ends, are this near to each other on the body at rest, where limbs are apart [m].
+const SAME_PLACE: f64 = 0.07;
 /// Widest gap of a scan between cloth and where it ends, in its edges.
 const GAP: f64 = 4.0;
 /// Force that may be left on worn candidates, as a share of a vertex's weight, and most steps to get there: millimetres do not matter.
@@ -183,7 +185,7 @@ impl<'a> Choosing<'a> {
     ) -> Result<(Template, TemplateChoice, Inner)> {
         let covered = kind != outer(self.context.config.finetune.layering.order);
         let nearest = &self.standing[0];
-        let Shown { points, edges, cover } = &nearest.shown(kind, covered)?;
+        let Shown { points, edges, cover } = &nearest.shown(kind, covered, &self.skin)?;
         let options = ChooseOptions { covered_by: cover };
         let source = settings.template.template(self.context.files)?;
         let tailor = &self.tailor;
@@ -219,7 +221,8 @@ impl<'a> Choosing<'a> {
         let seen = Seen { points, edges, covered_by: cover };
         let refined = refine(&*source, tailor, start, CANDIDATE_RESOLUTION, seen, |t| wear(t, 0))?;
         let after = choose_template(&refined.worn, points, &options)?;
-        let shown = self.standing[1..].iter().map(|s| s.shown(kind, covered)).collect::<Result<Vec<_>>>()?;
+        let shown =
+            self.standing[1..].iter().map(|s| s.shown(kind, covered, &self.skin)).collect::<Result<Vec<_>>>()?;
         let more = shown.iter().map(|s| Seen { points: &s.points, edges: &s.edges, covered_by: &s.cover });
         let all: Vec<Seen<'_>> = std::iter::once(seen).chain(more).collect();
         let resolutions = [CANDIDATE_RESOLUTION, settings.resolution_m];
@@ -281,9 +284,10 @@ impl<'a> Choosing<'a> {
 }
 
 impl Standing<'_> {
-    fn shown(&self, kind: GarmentKind, covered: bool) -> Result<Shown> {
+    /// `skin`: the body's vertices at rest [m].
+    fn shown(&self, kind: GarmentKind, covered: bool, skin: &[Vec3]) -> Result<Shown> {
         let cover = if covered { thin(&self.of_label(label_of(other(kind))), CANDIDATE_POINTS) } else { Vec::new() };
-        Ok(Shown { points: self.seen(kind)?, edges: thin(&self.edges(kind, covered), EDGE_POINTS), cover })
+        Ok(Shown { points: self.seen(kind)?, edges: thin(&self.edges(kind, covered, skin), EDGE_POINTS), cover })
     }
     /// Scan points of a garment, thinned.
     fn seen(&self, kind: GarmentKind) -> Result<Vec<Vec3>> {
@@ -301,15 +305,29 @@ impl Standing<'_> {
     fn of_label(&self, label: Label) -> Vec<Vec3> {
         self.of.points.with_label(label).0
     }
-    fn edges(&self, kind: GarmentKind, covered: bool) -> Vec<Vec3> {
+    fn edges(&self, kind: GarmentKind, covered: bool, skin: &[Vec3]) -> Vec<Vec3> {
         let hiding = covered.then(|| label_of(other(kind)));
-        ends(&self.mesh, &self.of.points.labels, label_of(kind), hiding)
+        let grid = NearestGrid::from_points(&self.posed.vertices);
+        let at_rest = |p: &Vec3| grid.nearest_point(p).map(|(v, _)| skin[v as usize]);
+        // A hand on a hip is beside cloth that does not end there.
+        let goes_on = |cloth: &Vec3, beside: &Vec3| match (at_rest(cloth), at_rest(beside)) {
+            (Some(a), Some(b)) => (a - b).norm() < SAME_PLACE,
+            _ => true,
+        };
+        ends(&self.mesh, &self.of.points.labels, label_of(kind), hiding, goes_on)
     }
 }
 
 /// Where cloth of a label ends in a scan [m]: at skin, and at the other garment unless that one hides it; also across a gap that no camera
-/// looked into, as under a collar. Other holes are no ends.
-fn ends(mesh: &TriMesh, labels: &[Label], own: Label, hiding: Option<Label>) -> Vec<Vec3> {
+/// looked into, as under a collar. Other holes are no ends, nor is what only touches: the body `goes_on` from a place of cloth to one
+/// beside it.
+fn ends(
+    mesh: &TriMesh,
+    labels: &[Label],
+    own: Label,
+    hiding: Option<Label>,
+    goes_on: impl Fn(&Vec3, &Vec3) -> bool,
+) -> Vec<Vec3> {
     let place = |v: u32| mesh.vertices[v as usize];
     let mut lengths: Vec<f64> = mesh.faces.iter().map(|f| (place(f[1]) - place(f[0])).norm()).collect();
     lengths.sort_by(f64::total_cmp);
@@ -319,7 +337,7 @@ fn ends(mesh: &TriMesh, labels: &[Label], own: Label, hiding: Option<Label>) -> 
     for face in &mesh.faces {
         // Each edge is met once from either of its triangles.
         for (a, b) in [(face[0], face[1]), (face[1], face[2]), (face[2], face[0])] {
-            if labels[a as usize] == own && ends_at(labels[b as usize]) {
+            if labels[a as usize] == own && ends_at(labels[b as usize]) && goes_on(&place(a), &place(b)) {
                 // Labels change somewhere between; beyond a step in depth cloth goes no farther than elsewhere.
                 let way = place(b) - place(a);
                 out.push(place(a) + way * (0.5 * (typical / way.norm().max(1e-12)).min(1.0)));
@@ -331,8 +349,13 @@ fn ends(mesh: &TriMesh, labels: &[Label], own: Label, hiding: Option<Label>) -> 
     let nearest = NearestGrid::from_points(&own_rim);
     let gap = GAP * typical;
     // From the other side of the gap: the rim of a hole that lies across an end goes on into the cloth.
-    let across = rim.iter().filter(|v| ends_at(labels[**v as usize])).filter_map(|&v| nearest.nearest_point(&place(v)));
-    let mut met: Vec<u32> = across.filter(|(_, square)| *square < gap * gap).map(|(near, _)| near).collect();
+    let mut met: Vec<u32> = Vec::new();
+    for &v in rim.iter().filter(|v| ends_at(labels[**v as usize])) {
+        let Some((near, square)) = nearest.nearest_point(&place(v)) else { continue };
+        if square < gap * gap && goes_on(&own_rim[near as usize], &place(v)) {
+            met.push(near);
+        }
+    }
     met.sort_unstable();
     met.dedup();
     out.extend(met.into_iter().map(|near| own_rim[near as usize]));
@@ -360,13 +383,17 @@ mod tests {
         };
         let label = |i: usize| if i % 21 <= 10 { Label::Upper } else { Label::Body };
         let labels: Vec<Label> = (0..441).map(label).collect();
-        let whole = ends(&sheet(&|_| true), &labels, Label::Upper, None);
+        let anywhere = |_: &Vec3, _: &Vec3| true;
+        let whole = ends(&sheet(&|_| true), &labels, Label::Upper, None, anywhere);
         // Half an edge beyond the cloth; its own last vertex at the sheet's rim.
         assert!(whole.len() > 21 && whole.iter().all(|p| p.x > 0.0999 && p.x < 0.11), "{whole:?}");
-        assert!(ends(&sheet(&|_| true), &labels, Label::Upper, Some(Label::Body)).is_empty());
+        assert!(ends(&sheet(&|_| true), &labels, Label::Upper, Some(Label::Body), anywhere).is_empty());
+        // Something that only touches the cloth along half of that.
+        let touching = ends(&sheet(&|_| true), &labels, Label::Upper, None, |a, _| a.y > 0.1);
+        assert!(touching.len() > 9 && touching.iter().all(|p| p.y > 0.09), "{touching:?}");
         // A gap of two squares beside the cloth, and a hole in the middle of it.
         let torn = sheet(&|i| !(10..12).contains(&(i % 21)) && (i % 21, i / 21) != (4, 9));
-        let across = ends(&torn, &labels, Label::Upper, None);
+        let across = ends(&torn, &labels, Label::Upper, None, anywhere);
         assert!(across.len() >= 21 && across.iter().all(|p| (p.x - 0.1).abs() < 1e-9), "{across:?}");
     }
 }

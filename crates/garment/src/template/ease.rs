@@ -1,23 +1,31 @@
-//! A template as wide as the scans show it, where no style says so.
+//! A template as wide and as long as the scans show it, where no style says so.
 //!
-//! A style has one ease for all of a garment, and it is cut on a body that is itself millimetres off under cloth. What is left between the
-//! worn template and the scans, averaged over a wide neighbourhood and several poses so that folds cancel, is how much wider the garment is
-//! there: it moves along its normals by that. Differs from the paper, whose template is a style's.
+//! A style has one ease for all of a garment, one shape of neckline, and it is cut on a body that is itself millimetres off under cloth.
+//! What is left between the worn template and the scans, averaged over a wide neighbourhood and several poses so that folds cancel, is how
+//! much wider the garment is there: it moves along its normals by that. How far the scans' edges lie beyond its own is how much longer it
+//! is there: its edges, and less so the cloth beside them, move along the surface. Differs from the paper, whose template is a style's.
 
-use super::refine::{Patches, Refinement, Seen, cost_of, passed_over, rounded};
+use super::refine::{Boundary, OTHERS, OTHERS_M, Patches, Refinement, Seen, median, passed_over, rounded};
+use super::response::cost_of;
+use super::shape::smooth_step;
 use super::{Tailor, Template, grain};
 use caphy_core::query::NearestSurface;
 use caphy_core::{Result, Vec3};
 use rayon::prelude::*;
 
 /// Width of the neighbourhood that distances are averaged over [m]: wider than folds, narrower than a trunk.
-const WIDTH: f64 = 0.06;
+const WIDTH: f64 = 0.045;
 /// Distances beyond this pull no harder [m].
 const LARGEST: f64 = 0.01;
+/// Half the length of edge whose scanned points say together how far it is off [m].
+const EDGE: f64 = 0.04;
+/// Most that an edge moves at a time [m], and how far from it cloth moves with it [m]: triangles keep half of their height.
+const LARGEST_EDGE: f64 = 0.015;
+const MOVES: f64 = 0.06;
 /// So many points of no distance are everywhere per scan: what few points show moves little.
 const STILL: f64 = 4.0;
 /// Most rounds: worn again, cloth answers less than it was moved where it folds.
-const ROUNDS: usize = 2;
+const ROUNDS: usize = 4;
 
 /// Moves a finished template towards scans; `wear` as of [`super::finish`]. Given garments keep their own shape.
 ///
@@ -38,13 +46,13 @@ pub fn ease(
         let each = patches.iter().zip(seen).zip(worn).map(|((p, s), w)| p.residuals(s, w, faces));
         Ok(each.collect::<Result<Vec<_>>>()?.concat())
     };
-    let mut cost = cost_of(&residuals(&now.worn, &now.template.mesh.faces)?);
+    let mut cost = cost_of(&residuals(&now.worn, &now.template.mesh.faces)?, OTHERS);
     for _ in 0..ROUNDS {
-        let template = tailor.moved(&now.template, &offsets(&now.template, &now.worn, seen)?);
+        let template = tailor.moved(&now.template, &moves(&now.template, &now.worn, seen)?);
         let worn = (0..seen.len()).into_par_iter().map(|scan| wear(&template, scan)).collect::<Result<Vec<_>>>();
         let Some(worn) = passed_over(worn)? else { break };
         let residuals = residuals(&worn, &template.mesh.faces)?;
-        let reached = cost_of(&residuals);
+        let reached = cost_of(&residuals, OTHERS);
         if reached >= cost {
             break;
         }
@@ -52,6 +60,54 @@ pub fn ease(
         now.replace(&patches, template, worn, &residuals);
     }
     Ok(now)
+}
+
+/// Where the vertices of a template go [m]: along normals as [`offsets`] say, and along the surface with its edges.
+fn moves(template: &Template, worn: &[Vec<Vec3>], seen: &[Seen<'_>]) -> Result<Vec<Vec3>> {
+    let normals = template.mesh.vertex_normals();
+    let edges = edge_moves(template, worn, seen);
+    let along = |p: &Vec3, normal: &Vec3| {
+        let (mut sum, mut weight, mut nearest) = (Vec3::zeros(), 0.0, f64::INFINITY);
+        for (at, shift) in &edges {
+            let square = (p - at).norm_squared();
+            nearest = nearest.min(square);
+            let w = (-0.5 * square / (EDGE * EDGE)).exp();
+            sum += shift * w;
+            weight += w;
+        }
+        let moved = sum * (1.0 - smooth_step(0.0, MOVES, nearest.sqrt())) / f64::max(weight, f64::MIN_POSITIVE);
+        moved - normal * normal.dot(&moved)
+    };
+    let offsets = offsets(template, worn, seen)?;
+    let rows = template.mesh.vertices.par_iter().zip(&normals).zip(offsets);
+    Ok(rows.map(|((p, n), d)| n * d + along(p, n)).collect())
+}
+
+/// Middles of a template's edges, and how far along the surface the scans have them [m].
+fn edge_moves(template: &Template, worn: &[Vec<Vec3>], seen: &[Seen<'_>]) -> Vec<(Vec3, Vec3)> {
+    let rest = Boundary::new(&template.mesh.vertices, &template.mesh.faces);
+    let middle = |k: usize| (rest.edges[k].0[0] + rest.edges[k].0[1]) * 0.5;
+    let mut known: Vec<(Vec3, f64)> = Vec::new();
+    for (vertices, seen) in worn.iter().zip(seen) {
+        // Of the same faces: the edges are in the same order.
+        let boundary = Boundary::new(vertices, &template.mesh.faces);
+        for p in seen.edges {
+            let Some((k, offset)) = boundary.nearest(p) else { continue };
+            let beyond = offset.dot(&boundary.edges[k].1);
+            if offset.norm() <= OTHERS_M {
+                known.push((middle(k), beyond));
+            }
+        }
+    }
+    let still = STILL * seen.len() as f64;
+    let moved = |k: usize| {
+        let at = middle(k);
+        let near: Vec<f64> = known.iter().filter(|(p, _)| (p - at).norm() <= EDGE).map(|k| k.1).collect();
+        let count = near.len() as f64;
+        let by = median(near.into_iter()).clamp(-LARGEST_EDGE, LARGEST_EDGE) * count / (count + still);
+        (at, rest.edges[k].1 * by)
+    };
+    (0..rest.edges.len()).into_par_iter().map(moved).collect()
 }
 
 /// How far scans lie outside of a worn template around each of its vertices [m].
@@ -89,12 +145,10 @@ fn offsets(template: &Template, worn: &[Vec<Vec3>], seen: &[Seen<'_>]) -> Result
 }
 
 impl Tailor {
-    /// A template whose vertices lie so far outside of where they did [m], or as far as the skin lets them.
-    fn moved(&self, template: &Template, offsets: &[f64]) -> Template {
+    /// A template whose vertices have moved [m], or as far as the skin lets them.
+    fn moved(&self, template: &Template, moves: &[Vec3]) -> Template {
         let mut mesh = template.mesh.clone();
-        for ((p, n), d) in mesh.vertices.iter_mut().zip(template.mesh.vertex_normals()).zip(offsets) {
-            *p += n * *d;
-        }
+        mesh.vertices.iter_mut().zip(moves).for_each(|(p, m)| *p += m);
         self.push_out(&mut mesh);
         let weights_body_vertex = self.nearest_skin(template.kind, &mesh);
         let material_uv = grain::material_uv(&mesh, &self.body, &weights_body_vertex);

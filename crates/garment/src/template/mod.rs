@@ -15,6 +15,7 @@ mod grain;
 mod loops;
 mod refine;
 mod remesh;
+mod response;
 mod rest;
 mod sections;
 mod shape;

@@ -8,12 +8,12 @@
 //!
 //! Differs from the paper: it takes the sample as it is.
 
+use super::response::{ANSWERS, DIFFERENCE, Far, MIDDLE, Response, Tried, cost};
 use super::source::TemplateSource;
 use super::{Style, Tailor, Template};
-use crate::estimate::bounded;
 use caphy_core::query::{NearestGrid, NearestSurface, boundary_loops, nearest_on_triangle};
 use caphy_core::{Error, Result, Vec3, mesh};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
@@ -23,24 +23,18 @@ const PATCH: f64 = 0.1;
 const EDGE_PATCH: f64 = 0.05;
 /// How far a patch of simulated cloth is expected to lie from a scanned one, and an edge [m].
 const SIGMA: f64 = 4e-3;
-/// Distances beyond so many sigmas pull no harder.
-const ROBUST_AT: f64 = 2.0;
-/// Standard deviation of the prior around the middle of the space, in shares of an axis's range: a waist under a shirt is not seen.
-const PRIOR: f64 = 0.3;
-const MIDDLE: f64 = 0.5;
-/// Step of differences, in shares of an axis's range: well above what another triangulation of the same style changes.
-const DIFFERENCE: f64 = 0.2;
-/// A patch that moves by fewer sigmas over that step does not answer to the axis, it has other folds.
-const ANSWERS: f64 = 0.8;
 /// An axis that fewer patches answer to is not seen.
 const WITNESSES: usize = 3;
 /// Vertices of two templates farther apart than this differ [m]: coarse triangulations of one style do so by less.
 const DIFFERS: f64 = 5e-3;
-/// Most steps, and the share of the sum of squares that one must gain for another to be worth its time.
-const STEPS: usize = 6;
-const WORTH_IT: f64 = 0.02;
+/// Scanned edges farther from those of a refined garment are others, or labels gone wrong [m].
+pub(super) const OTHERS_M: f64 = 0.03;
+pub(super) const OTHERS: Far = Far::Beyond(OTHERS_M / SIGMA);
+/// Most steps, and what one must promise to gain to be worth its time: half the square of two thirds of a sigma on one patch.
+const STEPS: usize = 8;
+const WORTH_IT: f64 = 0.2;
 /// Most steps of templates as fine as wanted, each many times slower.
-const FINE_STEPS: usize = 2;
+const FINE_STEPS: usize = 3;
 /// Shares of a step that are tried at the same time.
 const SHARES: [f64; 2] = [1.0, 0.4];
 
@@ -126,42 +120,47 @@ pub fn refine(
     let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
     let mut now = Trial { template, worn: vec![worn], residuals };
     let mut evaluations = 0;
-    // Garments a difference away along each axis but some, towards the inside of the range; `None` where none can be made.
-    let around = |u: &[f64], but: &[usize]| -> Result<Vec<Option<(Vec<f64>, Trial)>>> {
-        let away = |axis: usize| {
-            if but.contains(&axis) {
-                return Ok(None);
-            }
-            let to = beside(u, axis);
+    // Garments a difference away along some axes; `None` where none can be made.
+    let around = |u: &[f64], axes: &[usize], outward: bool| -> Result<Vec<Option<(Vec<f64>, Trial)>>> {
+        let away = |&axis: &usize| {
+            let to = beside(u, axis, outward);
             let trial = passed_over(source.at(start, &to).and_then(|style| attempt(&style)))?;
             Ok(trial.map(|t| (to, t)))
         };
-        (0..axes).into_par_iter().map(away).collect()
+        axes.par_iter().map(away).collect()
     };
     // What the scan says nothing of goes to the middle at once and stays there.
-    let mut near = around(&u, &[])?;
+    let every: Vec<usize> = (0..axes).collect();
+    let mut near = around(&u, &every, false)?;
     evaluations += axes;
     let cover = Cover::new(&seen);
-    let mut unseen = Vec::new();
+    let mut free = Vec::new();
     for (k, trial) in near.iter().enumerate() {
-        if !answered(&now, trial.as_ref()) || !cover.shows(&now, trial.as_ref())? {
-            unseen.push(k);
+        if answered(&now, trial.as_ref()) && cover.shows(&now, trial.as_ref())? {
+            free.push(k);
         }
     }
-    if !unseen.is_empty() {
-        unseen.iter().for_each(|&k| u[k] = MIDDLE);
+    if free.len() < axes {
+        every.iter().filter(|k| !free.contains(k)).for_each(|&k| u[k] = MIDDLE);
         now = attempt(&source.at(start, &u)?)?;
-        near = around(&u, &unseen)?;
-        evaluations += 1 + axes - unseen.len();
+        near = around(&u, &free, false)?;
+        evaluations += 1 + free.len();
     }
     let mut slopes = DMatrix::zeros(now.residuals.len(), axes);
-    for round in 0..if unseen.len() == axes { 0 } else { STEPS } {
+    let mut tried = vec![now.as_tried(&u)];
+    for round in 0..if free.is_empty() { 0 } else { STEPS } {
         if round > 0 {
-            near = around(&u, &unseen)?;
-            evaluations += axes - unseen.len();
+            // From the other side each time: folds of the middle one are then in no slope.
+            near = around(&u, &free, round % 2 == 1)?;
+            evaluations += free.len();
         }
-        slopes = slopes_between(&u, &now, &near);
-        let step = gauss_newton(&u, &now, &slopes)?;
+        tried.extend(near.iter().flatten().map(|(to, trial)| trial.as_tried(to)));
+        let model = Response::around(&u, &tried, &free)?;
+        let (step, gain) = model.step(&u, Far::Nowhere)?;
+        slopes = model.slopes;
+        if gain < WORTH_IT {
+            break;
+        }
         let shared: Vec<Option<(Vec<f64>, Trial)>> = SHARES
             .par_iter()
             .map(|share| {
@@ -171,22 +170,18 @@ pub fn refine(
             })
             .collect::<Result<_>>()?;
         evaluations += shared.len();
-        // Of the neighbours, too, one may be better than both.
+        tried.extend(shared.iter().flatten().map(|(to, trial)| trial.as_tried(to)));
+        // Of the neighbours, too, one may be better than both. Where none is, the next model knows more.
         let best = shared
             .into_iter()
             .chain(std::mem::take(&mut near))
             .flatten()
-            .map(|(to, trial)| (cost(&to, &trial), to, trial))
+            .map(|(to, trial)| (cost(&to, &trial.residuals, Far::Nowhere), to, trial))
             .min_by(|a, b| a.0.total_cmp(&b.0));
-        let before = cost(&u, &now);
-        match best {
-            Some((reached, to, trial)) if reached < before => {
-                (u, now) = (to, trial);
-                if reached > (1.0 - WORTH_IT) * before {
-                    break;
-                }
-            }
-            _ => break,
+        if let Some((reached, to, trial)) = best
+            && reached < cost(&u, &now.residuals, Far::Nowhere)
+        {
+            (u, now) = (to, trial);
         }
     }
     Ok(refinement(&[patches], now, evaluations, slopes))
@@ -231,7 +226,7 @@ pub fn finish(
                 if slopes.column(axis).iter().all(|s| *s == 0.0) {
                     return Ok(None);
                 }
-                let to = beside(&u, axis);
+                let to = beside(&u, axis, false);
                 let trial = passed_over(source.at(start, &to).and_then(|s| attempt(&s, from_m, more.clone())))?;
                 Ok(trial.map(|t| (to, t)))
             })
@@ -244,32 +239,42 @@ pub fn finish(
     }
     let mut now = attempt(start, to_m, 0..seen.len())?;
     evaluations += 1;
-    for _ in 0..if slopes.iter().any(|s| *s != 0.0) { FINE_STEPS } else { 0 } {
-        Error::check_length("residuals of a refined template", slopes.nrows(), now.residuals.len())?;
-        let step = gauss_newton(&u, &now, &slopes)?;
-        let before = cost(&u, &now);
-        let mut gained = 0.0;
+    Error::check_length("residuals of a refined template", slopes.nrows(), now.residuals.len())?;
+    for _ in 0..FINE_STEPS {
+        let model = Response { residuals: now.residuals.clone(), slopes };
+        let (step, gain) = model.step(&u, OTHERS)?;
+        slopes = model.slopes;
+        if gain < WORTH_IT {
+            break;
+        }
+        let mut better = false;
         for share in SHARES {
             let to: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + share * s).collect();
             evaluations += 1;
             let trial = passed_over(source.at(start, &to).and_then(|s| attempt(&s, to_m, 0..seen.len())))?;
-            if let Some(trial) = trial.filter(|t| cost(&to, t) < before) {
-                gained = before - cost(&to, &trial);
-                (u, now) = (to, trial);
+            if let Some(trial) = trial.filter(|t| cost(&to, &t.residuals, OTHERS) < cost(&u, &now.residuals, OTHERS)) {
+                (u, now, better) = (to, trial, true);
                 break;
             }
         }
-        if gained < WORTH_IT * before {
+        if !better {
             break;
         }
     }
     Ok(refinement(&patches, now, evaluations, slopes))
 }
 
-/// The place a difference away along one axis, towards the inside of the range.
-fn beside(u: &[f64], axis: usize) -> Vec<f64> {
+impl Trial {
+    fn as_tried(&self, u: &[f64]) -> Tried {
+        Tried { u: u.to_vec(), residuals: self.residuals.clone() }
+    }
+}
+
+/// The place a difference away along one axis, towards the middle of the range, or away from it if that lies in the range.
+fn beside(u: &[f64], axis: usize, outward: bool) -> Vec<f64> {
     let mut to = u.to_vec();
-    to[axis] += if to[axis] > 0.5 { -DIFFERENCE } else { DIFFERENCE };
+    let inward = if u[axis] > MIDDLE { -DIFFERENCE } else { DIFFERENCE };
+    to[axis] += if outward && (0.0..=1.0).contains(&(u[axis] - inward)) { -inward } else { inward };
     to
 }
 
@@ -347,17 +352,6 @@ impl Cover {
     }
 }
 
-/// Half the sum of squares, robust, with the prior's.
-fn cost(u: &[f64], trial: &Trial) -> f64 {
-    let prior: f64 = u.iter().map(|u| ((u - MIDDLE) / PRIOR).powi(2)).sum();
-    0.5 * prior + cost_of(&trial.residuals)
-}
-
-/// Half the sum of squares, robust.
-pub(super) fn cost_of(residuals: &[f64]) -> f64 {
-    residuals.iter().map(|r| huber(*r).0).sum()
-}
-
 /// Change of residuals per axis between trials; 0 where it is not more than other folds are, and along axes without a trial.
 fn slopes_between(u: &[f64], now: &Trial, beside: &[Option<(Vec<f64>, Trial)>]) -> DMatrix<f64> {
     DMatrix::from_fn(now.residuals.len(), u.len(), |row, axis| {
@@ -367,38 +361,12 @@ fn slopes_between(u: &[f64], now: &Trial, beside: &[Option<(Vec<f64>, Trial)>]) 
     })
 }
 
-/// The step within the space that the slopes promise most of; 0 along axes without one.
-fn gauss_newton(u: &[f64], now: &Trial, slopes: &DMatrix<f64>) -> Result<DVector<f64>> {
-    let axes = u.len();
-    let mut h = DMatrix::from_diagonal_element(axes, axes, PRIOR.powi(-2));
-    let mut g = DVector::from_fn(axes, |k, _| (u[k] - MIDDLE) / (PRIOR * PRIOR));
-    for (row, r) in now.residuals.iter().enumerate() {
-        let slopes = slopes.row(row).transpose();
-        let w = huber(*r).1;
-        h += &slopes * slopes.transpose() * w;
-        g += slopes * (w * r);
-    }
-    let within = |k: usize, bound: f64| if slopes.column(k).iter().any(|s| *s != 0.0) { bound - u[k] } else { 0.0 };
-    let lower = DVector::from_fn(axes, |k, _| within(k, 0.0));
-    let upper = DVector::from_fn(axes, |k, _| within(k, 1.0));
-    bounded::solve(&h, &-g, &lower, &upper, &DVector::zeros(axes))
-}
-
 /// `None` for a style that no garment can be made of, or worn.
 pub(super) fn passed_over<T>(trial: Result<T>) -> Result<Option<T>> {
     match trial {
         Ok(trial) => Ok(Some(trial)),
         Err(Error::Numerics { .. } | Error::Mesh { .. }) => Ok(None),
         Err(other) => Err(other),
-    }
-}
-
-/// ρ(r) and its weight ρ′(r)/r.
-fn huber(r: f64) -> (f64, f64) {
-    if r.abs() <= ROBUST_AT {
-        (0.5 * r * r, 1.0)
-    } else {
-        (ROBUST_AT * r.abs() - 0.5 * ROBUST_AT * ROBUST_AT, ROBUST_AT / r.abs())
     }
 }
 
@@ -469,19 +437,19 @@ fn in_cubes(points: &[Vec3], side: f64) -> Vec<Vec<usize>> {
     cubes.into_values().filter(|patch| patch.len() > few).collect()
 }
 
-fn median(values: impl Iterator<Item = f64>) -> f64 {
+pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut all: Vec<f64> = values.collect();
     all.sort_by(f64::total_cmp);
     all.get(all.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// The edges of a garment that have one triangle, with the direction out of it.
-struct Boundary {
-    edges: Vec<([Vec3; 2], Vec3)>,
+pub(super) struct Boundary {
+    pub(super) edges: Vec<([Vec3; 2], Vec3)>,
 }
 
 impl Boundary {
-    fn new(vertices: &[Vec3], faces: &[[u32; 3]]) -> Self {
+    pub(super) fn new(vertices: &[Vec3], faces: &[[u32; 3]]) -> Self {
         let mut next = vec![u32::MAX; vertices.len()];
         for ring in boundary_loops(faces) {
             for (k, &v) in ring.iter().enumerate() {
@@ -503,11 +471,15 @@ impl Boundary {
         }
         Self { edges }
     }
+    /// The nearest edge, and the way from it [m].
+    pub(super) fn nearest(&self, p: &Vec3) -> Option<(usize, Vec3)> {
+        let offset = |(ends, _): &([Vec3; 2], Vec3)| p - nearest_on_triangle(p, &[ends[0], ends[1], ends[1]]).point;
+        let all = self.edges.iter().map(offset).enumerate();
+        all.min_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared()))
+    }
     /// How far a point lies beyond the nearest edge along the surface [m], negative on the garment; 0 without edges.
     fn beyond(&self, p: &Vec3) -> f64 {
-        let offset = |(ends, _): &([Vec3; 2], Vec3)| p - nearest_on_triangle(p, &[ends[0], ends[1], ends[1]]).point;
-        let nearest = self.edges.iter().map(|e| (offset(e), e.1)).min_by(|a, b| a.0.norm().total_cmp(&b.0.norm()));
-        nearest.map_or(0.0, |(offset, out)| offset.dot(&out))
+        self.nearest(p).map_or(0.0, |(k, offset)| offset.dot(&self.edges[k].1))
     }
 }
 

@@ -140,6 +140,11 @@ pub(crate) fn limb_of(joint: usize) -> Limb {
     }
 }
 
+/// Steps in which heights are looked for [m].
+const STEP: f64 = 0.005;
+/// How much lower a shoulder counts per width that it lacks.
+const NARROWER: f64 = 0.5;
+
 /// Heights and sections of the body that styles are measured in [m].
 #[derive(Debug, Clone)]
 pub(crate) struct Landmarks {
@@ -237,8 +242,14 @@ impl Landmarks {
         let throat = trunk.narrowest(neck.y.min(head.y - 0.02) - 0.02, head.y) + pelvis.y;
         let neck_girth = trunk.girth_at(throat - pelvis.y);
         let mut neck_base = throat;
-        while neck_base > shoulder_height && trunk.girth_at(neck_base - pelvis.y) < 1.3 * neck_girth {
-            neck_base -= 0.005;
+        let short_of_base = |y: f64| 1.3 * neck_girth - trunk.girth_at(y - pelvis.y);
+        while neck_base > shoulder_height && short_of_base(neck_base) > 0.0 {
+            neck_base -= STEP;
+        }
+        // Between the last two steps: millimetres of skin must not move it by a step.
+        let (below, above) = (short_of_base(neck_base), short_of_base(neck_base + STEP));
+        if below < 0.0 && above > 0.0 {
+            neck_base += STEP * below / (below - above);
         }
         let at = neck_base - pelvis.y;
         let (front, back) = (trunk.reach_at(at, &Vec3::z()), trunk.reach_at(at, &-Vec3::z()));
@@ -247,15 +258,16 @@ impl Landmarks {
         let width = |y: f64| trunk.reach_at(y - pelvis.y, &Vec3::x()) + trunk.reach_at(y - pelvis.y, &-Vec3::x());
         let neck_half_width = 0.5 * width(neck_base).min(1.3 * width(throat));
 
-        // On square shoulders the neckline must still clear the cloth that lies on them beside the neck.
-        let wide = |y: f64| {
-            let half = |d: Vec3| trunk.reach_at(y - pelvis.y, &d);
-            half(Vec3::x()).max(half(-Vec3::x())) >= 1.8 * neck_half_width
+        // On square shoulders the neckline must still clear the cloth that lies on them beside the neck. Where shoulders are flat a width is
+        // reached or not by a millimetre: what is narrower counts, too, but lower.
+        let half = |y: f64| {
+            [1.0, -1.0].map(|x| trunk.reach_at(y - pelvis.y, &(Vec3::x() * x))).into_iter().fold(0.0, f64::max)
         };
-        let mut shoulder_top = throat;
-        while shoulder_top > armpit && !wide(shoulder_top) {
-            shoulder_top -= 0.005;
-        }
+        let steps = ((neck_base - armpit) / STEP).max(0.0) as usize;
+        let shoulder_top = (0..=steps)
+            .map(|i| neck_base - STEP * i as f64)
+            .map(|y| y - NARROWER * (1.8 * neck_half_width - half(y)).max(0.0))
+            .fold(armpit, f64::max);
         let neck_base = neck_base.max(shoulder_top + 0.025);
 
         // The crotch is where the sections of the two thighs come apart from below.

@@ -173,6 +173,32 @@ fn a_shirt_that_is_wider_in_places_is_cut_wider_there() {
 }
 
 #[test]
+fn a_shirt_that_ends_elsewhere_is_cut_there() {
+    let tailor = Tailor::new(body::capsules()).unwrap();
+    let start = tailor.generate(&shirt(0.42, 0.55, 0.02, 0.3), 0.022).unwrap();
+    // The hem lies 12 mm lower, the cuffs elsewhere by as much.
+    let scanned = tailor.generate(&shirt(0.4467, 0.58, 0.02, 0.3), 0.02).unwrap();
+    let scan = vertices(&scanned);
+    let mut edges: Vec<Vec3> = scanned.loops.iter().flat_map(|l| &l.vertices).map(|&v| scan[v as usize]).collect();
+    // What lies far from any edge is no edge: wrong labels in the middle of the trunk.
+    let hem = scan.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
+    edges.extend(scan.iter().filter(|p| (p.y - hem - 0.08).abs() < 0.02 && p.z > 0.0));
+    let seen = Seen { points: &scan, edges: &edges, covered_by: &[] };
+    let wear = |t: &Template, _: usize| Ok(vertices(t));
+    let worn = Worn { vertices: vertices(&start), template: start.clone() };
+    let mut as_cut = refine(&TemplateParametric {}, &tailor, worn, 0.022, seen, |t| wear(t, 0)).unwrap();
+    (as_cut.template, as_cut.worn) = (start.clone(), vec![vertices(&start)]);
+    let eased = ease(&tailor, as_cut, &[seen], wear).unwrap();
+    let off = |t: &Template| t.measures().against(&scanned.measures());
+    let [before, after] = [&start, &eased.template].map(off);
+    // Between polygons of 2 cm an edge is known to a tenth of that; some lengths are between two edges and along a third.
+    assert!(before.largest_m() > 0.02 && after.largest_m() < 0.007, "{before:?} {after:?}");
+    assert!(before.area.abs() > 0.02 && after.area.abs() < 0.005, "{before:?} {after:?}");
+    let [cut, moved] = [&start, &eased.template].map(|t| t.mesh.face_areas().into_iter().fold(f64::INFINITY, f64::min));
+    assert!(moved > 0.5 * cut, "{cut} {moved}");
+}
+
+#[test]
 fn posing_moves_vertices_with_the_body() {
     let body = body::capsules();
     let tailor = Tailor::new(body.clone()).unwrap();

@@ -346,3 +346,24 @@ fn bad_input_is_refused_by_name() {
         assert!(e.contains("resolution") && e.contains("[0.006, 0.05] m"), "{e}");
     }
 }
+
+#[test]
+fn a_millimetre_of_skin_moves_a_neckline_by_millimetres() {
+    // Landmarks that are looked for in steps, or where a width is reached or not, would jump on a body that is only nearly the same.
+    let neck = |body: BodyRest| {
+        let t = Tailor::new(body).unwrap().generate(&shirt(0.3, 0.5, 0.015, 0.0), 0.02).unwrap();
+        let ids = &t.boundary("neck").unwrap().vertices;
+        ids.iter().map(|&v| t.mesh.vertices[v as usize].y).sum::<f64>() / ids.len() as f64
+    };
+    let thicker = |mm: f64| {
+        let mut body = body::mannequin();
+        let normals = body.mesh.vertex_normals();
+        body.mesh.vertices.iter_mut().zip(normals).for_each(|(p, n)| *p += n * (1e-3 * mm));
+        body
+    };
+    let heights: Vec<f64> = (0..7).map(|k| neck(thicker(0.5 * f64::from(k) - 1.5))).collect();
+    for pair in heights.windows(2) {
+        // Half a millimetre of skin; where the neck widens slowly its base moves three times as far.
+        assert!((pair[1] - pair[0]).abs() < 2e-3, "{heights:?}");
+    }
+}
