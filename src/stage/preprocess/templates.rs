@@ -48,8 +48,8 @@ pub(super) fn effort(settings: &GarmentConfig, scans: usize) -> f64 {
         return 2.0;
     }
     // Some rounds of refinement; each further scan is measured along all axes; then a few templates as fine as wanted.
-    let coarse = settings.worn + 12 + 5 * scans.saturating_sub(1);
-    coarse as f64 + 7.0 * scans as f64 * wearing((CANDIDATE_RESOLUTION / settings.resolution_m).powi(2))
+    let coarse = settings.worn + 25 + 5 * scans.saturating_sub(1);
+    coarse as f64 + 9.0 * scans as f64 * wearing((CANDIDATE_RESOLUTION / settings.resolution_m).powi(2))
 }
 
 /// What wearing a garment of so many times a candidate's vertices costs, in candidates.

@@ -33,6 +33,8 @@ pub(super) const OTHERS: Far = Far::Beyond(OTHERS_M / SIGMA);
 /// Most steps, and what one must promise to gain to be worth its time: half the square of two thirds of a sigma on one patch.
 const STEPS: usize = 8;
 const WORTH_IT: f64 = 0.2;
+/// Steps in a row without a better garment, after which there is none.
+const PATIENCE: usize = 2;
 /// Most steps of templates as fine as wanted, each many times slower.
 const FINE_STEPS: usize = 3;
 /// Shares of a step that are tried at the same time.
@@ -148,6 +150,7 @@ pub fn refine(
     }
     let mut slopes = DMatrix::zeros(now.residuals.len(), axes);
     let mut tried = vec![now.as_tried(&u)];
+    let mut in_vain = 0;
     for round in 0..if free.is_empty() { 0 } else { STEPS } {
         if round > 0 {
             // From the other side each time: folds of the middle one are then in no slope.
@@ -171,7 +174,7 @@ pub fn refine(
             .collect::<Result<_>>()?;
         evaluations += shared.len();
         tried.extend(shared.iter().flatten().map(|(to, trial)| trial.as_tried(to)));
-        // Of the neighbours, too, one may be better than both. Where none is, the next model knows more.
+        // Of the neighbours, too, one may be better than both. Where none is, the next model knows more; not for ever.
         let best = shared
             .into_iter()
             .chain(std::mem::take(&mut near))
@@ -181,7 +184,12 @@ pub fn refine(
         if let Some((reached, to, trial)) = best
             && reached < cost(&u, &now.residuals, Far::Nowhere)
         {
-            (u, now) = (to, trial);
+            (u, now, in_vain) = (to, trial, 0);
+        } else {
+            in_vain += 1;
+            if in_vain == PATIENCE {
+                break;
+            }
         }
     }
     Ok(refinement(&[patches], now, evaluations, slopes))
