@@ -127,7 +127,7 @@ mod tests {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (state >> 33) as f64 / f64::from(1u32 << 31) - 0.5
         };
-        let law = |row: usize| 8.0 * (u[0] - 0.3) * f64::from(u8::from(row % 3 == 0)) + 6.0 * (u[1] - 0.6);
+        let law = |row: usize| 8.0 * (u[0] - 0.3) * f64::from(u8::from(row.is_multiple_of(3))) + 6.0 * (u[1] - 0.6);
         (0..60).map(|row| law(row) + 12f64.sqrt() * uniform()).collect()
     }
 
