@@ -262,7 +262,7 @@ mod tests {
     use caphy_bodymodel::procedural_motion::static_poses;
     use std::path::Path;
 
-    /// A shirt at rest beside hanging arms, whose creases are nearest now to the arm, now to the trunk.
+    /// A shirt at rest in some poses, whose creases are nearest now to the arm, now to the trunk.
     #[test]
     fn a_shirt_at_rest_in_its_armpits_stays_there() {
         let path = Path::new("tiny.toml");
@@ -275,17 +275,21 @@ mod tests {
         let Person { body, subject, .. } = &person;
         let garments = std::slice::from_ref(shirt);
         let scene = Scene::dressed(body.clone(), &subject.shape, &subject.displacement, garments).unwrap();
-        let track = scene.track(&static_poses(config.run.seed, 1)).unwrap();
-        let (positions, normals) = track.gather::<f64>(&[0], 1).unwrap();
+        // Not in every pose a crease lies so.
+        let poses = static_poses(config.run.seed, 4);
+        let track = scene.track(&poses).unwrap();
         let map = Arc::new(scene.contact(shirt).unwrap());
-        let on = WornOn { positions, normals, map, transforms: track.transforms(&[0])[0] };
         let (rest, forces) = (shirt.rest(&*fabric).unwrap(), solver_forces(&config.train));
         let settings = SolverSettings { friction: 0.3, tolerance_n: 1e-6, ..Default::default() };
         let mut solver = Solver::new(&rest, fabric.clone(), forces, settings).unwrap();
-        // The scan plays no part.
-        let scan = ScanPoints::Known { vertices: vec![0], points: vec![Vec3::zeros()] };
-        let worn = capture("arms down", shirt, on, solver.held_vertices(), scan).unwrap();
-        let worn = Capture { sigma_m: Some(1e-3), ..put_on(worn, &mut solver).unwrap() };
+        let mut put = |pose: usize| {
+            let (positions, normals) = track.gather::<f64>(&[pose], 1).unwrap();
+            let on = WornOn { positions, normals, map: map.clone(), transforms: track.transforms(&[pose])[0] };
+            // The scan plays no part.
+            let scan = ScanPoints::Known { vertices: vec![0], points: vec![Vec3::zeros()] };
+            let worn = capture("at rest", shirt, on, solver.held_vertices(), scan).unwrap();
+            Capture { sigma_m: Some(1e-3), ..put_on(worn, &mut solver).unwrap() }
+        };
         let moved = |capture: Capture| {
             let start = vec![capture.start.clone()];
             let (rest, parts) = (rest.clone(), Vec::new());
@@ -299,9 +303,13 @@ mod tests {
         };
         // Held where it was held. Pairs may still change for neighbours on the same side, whose planes are tilted a little on this
         // coarse body; through the other side it is thrown by centimetres.
-        let worn = Capture { anchors: worn.worn.as_ref().map(|s| s.anchors.clone()), ..worn };
-        let (kept, lost) = (moved(worn.clone()), moved(Capture { worn: None, ..worn }));
-        assert!(lost > 5e-3 && kept < 0.3 * lost, "{kept} {lost}");
+        let both = |worn: Capture| {
+            let worn = Capture { anchors: worn.worn.as_ref().map(|s| s.anchors.clone()), ..worn };
+            (moved(worn.clone()), moved(Capture { worn: None, ..worn }))
+        };
+        let all: Vec<(f64, f64)> = (0..poses.len()).map(|pose| both(put(pose))).collect();
+        let thrown: Vec<&(f64, f64)> = all.iter().filter(|(_, lost)| *lost > 5e-3).collect();
+        assert!(!thrown.is_empty() && thrown.iter().all(|(kept, lost)| *kept < 0.3 * lost), "{all:?}");
     }
 
     #[test]
