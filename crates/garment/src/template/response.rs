@@ -18,6 +18,7 @@ pub(super) enum Far {
     /// A garment that is nearly right.
     Beyond(f64),
 }
+
 /// Standard deviation of the prior around the middle of the space, in shares of an axis's range: a waist under a shirt is not seen.
 const PRIOR: f64 = 0.3;
 pub(super) const MIDDLE: f64 = 0.5;

@@ -179,7 +179,12 @@ fn a_shirt_that_ends_elsewhere_is_cut_there() {
     // The hem lies 12 mm lower, the cuffs elsewhere by as much.
     let scanned = tailor.generate(&shirt(0.4467, 0.58, 0.02, 0.3), 0.02).unwrap();
     let scan = vertices(&scanned);
-    let mut edges: Vec<Vec3> = scanned.loops.iter().flat_map(|l| &l.vertices).map(|&v| scan[v as usize]).collect();
+    // As close to each other as those of a scan with triangles of 7 mm.
+    let between = |ring: &[u32]| -> Vec<Vec3> {
+        let ends = ring.iter().zip(ring.iter().cycle().skip(1)).map(|(&a, &b)| [a, b].map(|v| scan[v as usize]));
+        ends.flat_map(|[a, b]| [0.0, 1.0 / 3.0, 2.0 / 3.0].map(|t| a.lerp(&b, t))).collect()
+    };
+    let mut edges: Vec<Vec3> = scanned.loops.iter().flat_map(|l| between(&l.vertices)).collect();
     // What lies far from any edge is no edge: wrong labels in the middle of the trunk.
     let hem = scan.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
     edges.extend(scan.iter().filter(|p| (p.y - hem - 0.08).abs() < 0.02 && p.z > 0.0));
@@ -191,8 +196,8 @@ fn a_shirt_that_ends_elsewhere_is_cut_there() {
     let eased = ease(&tailor, as_cut, &[seen], wear).unwrap();
     let off = |t: &Template| t.measures().against(&scanned.measures());
     let [before, after] = [&start, &eased.template].map(off);
-    // Between polygons of 2 cm an edge is known to a tenth of that; some lengths are between two edges and along a third.
-    assert!(before.largest_m() > 0.02 && after.largest_m() < 0.007, "{before:?} {after:?}");
+    // Between polygons of 2 cm an edge is known to a tenth of that; lengths are between two edges.
+    assert!(before.largest_m() > 0.02 && after.largest_m() < 0.005, "{before:?} {after:?}");
     assert!(before.area.abs() > 0.02 && after.area.abs() < 0.005, "{before:?} {after:?}");
     let [cut, moved] = [&start, &eased.template].map(|t| t.mesh.face_areas().into_iter().fold(f64::INFINITY, f64::min));
     assert!(moved > 0.5 * cut, "{cut} {moved}");
