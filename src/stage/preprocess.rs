@@ -310,6 +310,8 @@ const UNSEEN: f64 = 0.2;
 const STRANGE: f64 = 0.15;
 /// Share of such points with which a scan is left out, and with which it is mentioned.
 const STRANGE_SHARES: (f64, f64) = (0.2, 0.02);
+/// Share of bare skin with the body near below which a scan is mentioned: hair and holes are less, a forearm is more.
+const FOUND: f64 = 0.9;
 
 /// Fits shape and poses to all scans, scans whose points are not explained left out; held-out scans get a pose but no say in the
 /// shape. `None` without a scan to learn from.
@@ -365,6 +367,16 @@ fn fit_bodies(
                 let share = 100.0 * scan.strange_share;
                 progress.note(&format!("scan {} has {share:.0} % of its points far from the body", file.name));
             }
+            if let Some((_, report)) = &found
+                && report.skin_found_share < FOUND
+            {
+                progress.note(&format!(
+                    "scan {} has skin without the body near, {:.0} % of it: look at it in pictures/scans.png; if a limb is wrong, \
+                     give its pose in `subject.starts`",
+                    file.name,
+                    100.0 * (1.0 - report.skin_found_share)
+                ));
+            }
             scan.fitted = found;
         }
         if wrong.is_empty() {
@@ -400,8 +412,12 @@ fn draw(
     scans: &Scans,
 ) -> Result<Vec<PathBuf>> {
     let mut cells = Vec::new();
-    // Enough to see whether it worked; every scan would make a long page.
-    for scan in subject.scans.iter().take(6) {
+    // Enough to see whether it worked; every scan would make a long page. Where those that fit worst are right, all are.
+    let mut shown: Vec<&SubjectScan> = subject.scans.iter().collect();
+    shown.sort_by(|a, b| a.fit.skin_found_share.total_cmp(&b.fit.skin_found_share));
+    shown.truncate(6);
+    shown.sort_by(|a, b| a.name.cmp(&b.name));
+    for scan in shown {
         let Some(file) = scans.list.iter().find(|file| file.name == scan.name) else { continue };
         let surface = read_framed(context.files, file, &scan.frame)?;
         let posed = body.forward(&subject_body.posed(&scan.pose))?;

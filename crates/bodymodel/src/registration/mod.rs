@@ -8,13 +8,14 @@
 //! with the body's own Jacobian solve all poses and the shared shape together: the arrow-shaped system by Schur's
 //! complement. What no shape explains, dT takes up: in the last third of the iterations a smooth field is found in turn
 //! with them. The start is a coarse search over heading, position, arms and legs, whose best poses are tried before
-//! one is kept.
+//! one is kept. Scans with skin that the body is not near to are looked at again, limb by limb, before dT is found.
 //!
 //! Nothing here assumes SMPL-X but the joint names that choose priors and limbs; joints of other names get defaults.
 //!
 //! Differs from the paper: the paper prints no energy for this step ("constraining the deformed vertices to align the
 //! uncovered skin areas while being underneath the clothing areas").
 
+mod again;
 mod correspondence;
 mod displacement;
 mod prior;
@@ -242,6 +243,9 @@ pub fn register_from(
             let x = TRIAL_END + (1.0 - TRIAL_END) * i as f64 / refining as f64;
             Level::at(settings, x, Group::End, true)
         } else {
+            if i == refining {
+                again::look_again(&problem, scans, data, &mut state)?;
+            }
             state.displacement = displacement::displace(&problem, &all, &state, &fine)?;
             fine
         };

@@ -265,6 +265,36 @@ impl<'a> Proxy<'a> {
         out.extend(found.into_iter().map(|(_, pose)| pose));
         out
     }
+    /// A pose with one limb turned another way: of each limb's table the `count` entries that explain the scan best, best limb first.
+    /// Last the end of a search from upright with the pose's heading: more than a limb may be wrong.
+    pub(super) fn other_limbs(&self, scan: &LabelledPoints, pose: &Pose, count: usize) -> Vec<Pose> {
+        let target = Target::new(scan);
+        let mut scratch = [Vec::new(), Vec::new()];
+        let mut found: Vec<(f64, Pose)> = Vec::new();
+        let limbs = limbs(self.body, &self.joints);
+        for limb in &limbs {
+            let mut of_limb: Vec<(f64, Pose)> = Vec::new();
+            for entry in &limb.table {
+                let mut trial = pose.clone();
+                for (&joint, rotation) in limb.joints.iter().zip(entry) {
+                    trial.rotations[joint] = *rotation;
+                }
+                of_limb.push((misfit(&self.pose(&trial), &target, &mut scratch), trial));
+            }
+            of_limb.sort_by(|a, b| a.0.total_cmp(&b.0));
+            found.extend(of_limb.into_iter().take(count));
+        }
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let root = self.body.joints.iter().position(|j| j.parent.is_none());
+        let mut upright = Pose::rest(pose.rotations.len());
+        upright.translation = pose.translation;
+        if let Some(root) = root {
+            let ahead = Rotation3::from_scaled_axis(pose.rotations[root]) * Vec3::z();
+            upright.rotations[root] = Vec3::y() * ahead.x.atan2(ahead.z);
+        }
+        let anew = self.descend(upright, root, &limbs, &target).1;
+        found.into_iter().map(|(_, pose)| pose).chain([anew]).collect()
+    }
     /// Places the body, turns one limb at a time through its table, tilts the whole; twice.
     fn descend(&self, mut pose: Pose, root: Option<usize>, limbs: &[Limb], target: &Target) -> (f64, Pose) {
         let mut scratch = [Vec::new(), Vec::new()];
