@@ -52,7 +52,8 @@ pub fn scan(
     // Body first, then garments from inside out.
     let mut layers = vec![(skin, Label::Body)];
     for (garment, shape) in person.garments.iter().zip(&worn.shapes).rev() {
-        let cloth = TriMesh { vertices: shape.clone(), faces: garment.mesh.faces.clone() };
+        // Cloth is not faceted.
+        let cloth = mesh::rounded(shape, &garment.mesh.faces);
         for (layer, _) in &mut layers {
             give_way(layer, &cloth)?;
         }
@@ -164,7 +165,7 @@ impl<'a> Paint<'a> {
         let shoes = (0..count).map(|v| named(v, &["ankle", "foot"]));
         let (hair, shoes) = (hair.collect(), shoes.collect());
         let mut rest = vec![body_rest.mesh.vertices];
-        rest.extend(person.templates.iter().rev().map(|t| t.mesh.vertices.clone()));
+        rest.extend(person.templates.iter().rev().map(|t| t.mesh.subdivided().vertices));
         let normals = layers.iter().map(|(m, _)| mesh::vertex_normals(&m.vertices, &m.faces)).collect();
         Ok(Self { layers, normals, rest, hair, shoes, texture })
     }

@@ -99,20 +99,7 @@ impl TriMesh {
     }
     /// Every triangle split into four at its edge midpoints; old vertices keep their numbers.
     pub fn subdivided(&self) -> TriMesh {
-        let mut vertices = self.vertices.clone();
-        let mut middle: HashMap<[u32; 2], u32> = HashMap::new();
-        let mut faces = Vec::with_capacity(4 * self.faces.len());
-        for &[a, b, c] in &self.faces {
-            let mut mid = |p: u32, q: u32| {
-                *middle.entry([p.min(q), p.max(q)]).or_insert_with(|| {
-                    vertices.push((self.vertices[p as usize] + self.vertices[q as usize]) * 0.5);
-                    vertices.len() as u32 - 1
-                })
-            };
-            let (ab, bc, ca) = (mid(a, b), mid(b, c), mid(c, a));
-            faces.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
-        }
-        TriMesh { vertices, faces }
+        split(&self.vertices, &self.faces, |[a, b]| (self.vertices[a as usize] + self.vertices[b as usize]) * 0.5)
     }
     /// The faces whose three vertices are all kept, with vertices renumbered, and the old id of each new vertex.
     pub fn submesh(&self, keep: &[bool]) -> (TriMesh, Vec<u32>) {
@@ -154,6 +141,38 @@ pub fn vertex_normals(vertices: &[Vec3], faces: &[[u32; 3]]) -> Vec<Vec3> {
     normals
 }
 
+/// A surface whose triangles are cut in four, edge middles moved out to where a smooth surface through the vertices has them: flat
+/// triangles of a garment lie deeper than cloth by L²/8r, 1.5 mm on an arm. (Phong tessellation, Boubekeur and Alexa 2008, at the strength
+/// that is exact on circles.) Old vertices keep their numbers, new ones are as in [`TriMesh::subdivided`].
+pub fn rounded(vertices: &[Vec3], faces: &[[u32; 3]]) -> TriMesh {
+    let normals = vertex_normals(vertices, faces);
+    split(vertices, faces, |ends| {
+        let [p, q] = ends.map(|v| vertices[v as usize]);
+        let [m, n] = ends.map(|v| normals[v as usize]);
+        let at = (p + q) * 0.5;
+        let above = m * (p - at).dot(&m) + n * (q - at).dot(&n);
+        at + above * 0.25
+    })
+}
+
+/// Cuts every triangle in four; `middle` says where that of an edge is.
+fn split(vertices: &[Vec3], faces: &[[u32; 3]], middle: impl Fn([u32; 2]) -> Vec3) -> TriMesh {
+    let mut out = vertices.to_vec();
+    let mut middles: HashMap<[u32; 2], u32> = HashMap::new();
+    let mut fine = Vec::with_capacity(4 * faces.len());
+    for &[a, b, c] in faces {
+        let mut mid = |p: u32, q: u32| {
+            *middles.entry([p.min(q), p.max(q)]).or_insert_with(|| {
+                out.push(middle([p, q]));
+                out.len() as u32 - 1
+            })
+        };
+        let (ab, bc, ca) = (mid(a, b), mid(b, c), mid(c, a));
+        fine.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+    }
+    TriMesh { vertices: out, faces: fine }
+}
+
 /// Smallest and largest coordinate per axis [m], or `None` without points.
 pub fn bounds(points: &[Vec3]) -> Option<(Vec3, Vec3)> {
     let first = *points.first()?;
@@ -180,6 +199,29 @@ mod tests {
         assert!((fine.face_areas().iter().sum::<f64>() - 1.0).abs() < 1e-15);
         let (sub, old) = mesh.submesh(&[true, false, true, true]);
         assert_eq!((sub.faces, old), (vec![[0, 1, 2]], vec![0, 2, 3]));
+    }
+
+    #[test]
+    fn a_rounded_tube_is_round() {
+        // Eight sides and short triangles on a radius of 0.1: flat middles are deeper by 0.1 (1 - cos 22.5°), 7.6 mm.
+        let (around, rings) = (8u32, 5u32);
+        let vertices: Vec<Vec3> = (0..rings * around)
+            .map(|i| {
+                let (s, c) = (std::f64::consts::TAU * f64::from(i % around) / f64::from(around)).sin_cos();
+                Vec3::new(0.1 * c, 0.07 * f64::from(i / around), 0.1 * s)
+            })
+            .collect();
+        let faces: Vec<[u32; 3]> = (0..(rings - 1) * around)
+            .flat_map(|i| {
+                let next = i - i % around + (i + 1) % around;
+                [[i, i + around, next], [next, i + around, next + around]]
+            })
+            .collect();
+        let round = rounded(&vertices, &faces);
+        assert_eq!(round.faces.len(), 4 * faces.len());
+        let inner = round.vertices.iter().filter(|p| p.y > 0.05 && p.y < 0.23);
+        // The sum is off by 3/8 of the fourth power of half the angle between vertices: 0.9 mm at 22.5°.
+        assert!(inner.map(|p| p.x.hypot(p.z)).all(|r| (r - 0.1).abs() < 1e-3));
     }
 
     #[test]
