@@ -8,19 +8,19 @@ use crate::config::GarmentConfig;
 use crate::garment::FittedGarment;
 use crate::physics::solver_forces;
 use crate::scene::{Scene, label_of, outer, thin};
-use crate::simulate::{SimulationOptions, Steps, Under, simulate};
+use crate::simulate::{SimulationOptions, Steps, Under, simulate_from};
 use crate::stage::preprocess::standard::distance_to_standard;
 use crate::stage::scans::read_framed;
 use crate::stage::{Context, Scans, material};
 use caphy_core::body::{BodyModel, PosedBody};
 use caphy_core::material::MaterialModel;
-use caphy_core::query::{NearestGrid, boundary_loops};
+use caphy_core::query::{Adjacency, NearestGrid, boundary_loops};
 use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::{
-    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, Worn, choose_template, ease, finish,
-    pose_by_nearest_vertex, refine, templates,
+    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, Worn, WornAs, choose_template, ease,
+    finish, hung_like, pose_by_nearest_vertex, refine, templates,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -34,8 +34,9 @@ const CANDIDATE_POINTS: usize = 3000;
 const EDGE_POINTS: usize = 600;
 /// Skin under cloth, and skin beside it where it ends, are this near to each other on the body at rest, where limbs are apart [m].
 const SAME_PLACE: f64 = 0.07;
-/// Widest gap of a scan between cloth and where it ends, in its edges.
+/// Widest gap of a scan between cloth and where it ends, in its edges, and how far from ends without a gap ends at a gap are [m].
 const GAP: f64 = 4.0;
+const BESIDE: f64 = 0.04;
 /// Force that may be left on worn candidates, as a share of a vertex's weight, and most steps to get there: millimetres do not matter.
 const ROUGHLY: f64 = 0.05;
 const STEPS: usize = 60;
@@ -47,10 +48,13 @@ pub(super) fn effort(settings: &GarmentConfig, scans: usize) -> f64 {
     if settings.worn == 0 {
         return 2.0;
     }
-    // Some rounds of refinement; each further scan is measured along all axes; then a few templates as fine as wanted.
+    // Some rounds of refinement; each further scan is measured along all axes; then a few templates as fine as wanted, from good guesses.
     let coarse = settings.worn + 25 + 5 * scans.saturating_sub(1);
-    coarse as f64 + 9.0 * scans as f64 * wearing((CANDIDATE_RESOLUTION / settings.resolution_m).powi(2))
+    coarse as f64 + 6.0 * scans as f64 * FROM_A_GUESS * wearing((CANDIDATE_RESOLUTION / settings.resolution_m).powi(2))
 }
+
+/// What wearing a garment costs from a good guess, against that from skinning alone.
+const FROM_A_GUESS: f64 = 0.45;
 
 /// What wearing a garment of so many times a candidate's vertices costs, in candidates.
 fn wearing(vertices: f64) -> f64 {
@@ -202,24 +206,27 @@ impl<'a> Choosing<'a> {
         order.truncate(settings.worn.max(1));
         let spent = Mutex::new(0.0);
         let coarse = candidates.first().map_or(1, |c| c.mesh.vertices.len().max(1)) as f64;
-        let wear = |t: &Template, scan: usize| {
+        let wear = |t: &Template, scan: usize, like: Option<WornAs<'_>>| {
             if settings.worn == 0 {
                 return pose(t, scan);
             }
-            let worn = self.worn(t, scan, settings, fabric, inner);
+            let guess =
+                like.map(|like| hung_like(t, like, weights, &self.standing[scan].posed.transforms)).transpose()?;
+            let worn = self.worn(t, scan, guess.as_deref(), settings, (fabric, inner));
             if let Ok(mut spent) = spent.lock() {
-                *spent += wearing(t.mesh.vertices.len() as f64 / coarse);
+                let share = if guess.is_some() && t.resolution_m < CANDIDATE_RESOLUTION { FROM_A_GUESS } else { 1.0 };
+                *spent += share * wearing(t.mesh.vertices.len() as f64 / coarse);
                 tell(*spent);
             }
             worn
         };
-        let worn: Vec<Result<Vec<Vec3>>> = order.par_iter().map(|&i| wear(&candidates[i], 0)).collect();
+        let worn: Vec<Result<Vec<Vec3>>> = order.par_iter().map(|&i| wear(&candidates[i], 0, None)).collect();
         let worn = worn.into_iter().collect::<Result<Vec<_>>>()?;
         let sampled = choose_template(&worn, points, &options)?;
         let (best, vertices) = (&candidates[order[sampled.index]], worn[sampled.index].clone());
         let start = Worn { template: best.clone(), vertices };
         let seen = Seen { points, edges, covered_by: cover };
-        let refined = refine(&*source, tailor, start, CANDIDATE_RESOLUTION, seen, |t| wear(t, 0))?;
+        let refined = refine(&*source, tailor, start, CANDIDATE_RESOLUTION, seen, |t, like| wear(t, 0, like))?;
         let after = choose_template(&refined.worn, points, &options)?;
         let shown =
             self.standing[1..].iter().map(|s| s.shown(kind, covered, &self.skin)).collect::<Result<Vec<_>>>()?;
@@ -242,14 +249,14 @@ impl<'a> Choosing<'a> {
         Ok((finished.template, choice, worn))
     }
 
-    /// A candidate at rest on the body in a scan's pose [m].
+    /// A candidate at rest on the body in a scan's pose [m], from where skinning or a guess puts it [m].
     fn worn(
         &self,
         template: &Template,
         scan: usize,
+        guess: Option<&[Vec3]>,
         settings: &GarmentConfig,
-        fabric: &Arc<dyn MaterialModel>,
-        inner: Option<&Inner>,
+        (fabric, inner): (&Arc<dyn MaterialModel>, Option<&Inner>),
     ) -> Result<Vec<Vec3>> {
         let garment = self.fitted(template.clone(), settings)?;
         let forces = solver_forces(&self.context.config.train);
@@ -274,7 +281,8 @@ impl<'a> Choosing<'a> {
         let track = scene.track(std::slice::from_ref(&self.standing[scan].of.pose))?;
         let under = inner.map(|(faces, worn)| Under { faces, frames: &worn[scan..=scan] });
         let contact = scene.contact(&garment)?;
-        let simulation = simulate(&garment, fabric.clone(), &track, &contact, under, &options, &|_, _| {})?;
+        let around = (&track, &contact, under);
+        let simulation = simulate_from(&garment, fabric.clone(), around, guess, &options, &|_, _| {})?;
         simulation
             .frames
             .into_iter()
@@ -344,21 +352,33 @@ fn ends(
             }
         }
     }
+    let sure = NearestGrid::from_points(&out);
     let rim: Vec<u32> = boundary_loops(&mesh.faces).into_iter().flatten().collect();
-    let own_rim: Vec<Vec3> = rim.iter().filter(|v| labels[**v as usize] == own).map(|&v| place(v)).collect();
-    let nearest = NearestGrid::from_points(&own_rim);
+    let own_rim: Vec<u32> = rim.iter().copied().filter(|v| labels[*v as usize] == own).collect();
+    let nearest = NearestGrid::from_points(&own_rim.iter().map(|&v| place(v)).collect::<Vec<_>>());
     let gap = GAP * typical;
     // From the other side of the gap: the rim of a hole that lies across an end goes on into the cloth.
     let mut met: Vec<u32> = Vec::new();
     for &v in rim.iter().filter(|v| ends_at(labels[**v as usize])) {
         let Some((near, square)) = nearest.nearest_point(&place(v)) else { continue };
-        if square < gap * gap && goes_on(&own_rim[near as usize], &place(v)) {
+        let near = own_rim[near as usize];
+        if square < gap * gap && goes_on(&place(near), &place(v)) {
             met.push(near);
         }
     }
     met.sort_unstable();
     met.dedup();
-    out.extend(met.into_iter().map(|near| own_rim[near as usize]));
+    // Where cloth can be followed to its end, a rim beside that is the bottom of a gap that cameras look into.
+    met.retain(|&v| sure.nearest_within(&place(v).into(), BESIDE * BESIDE).is_none());
+    let neighbours = Adjacency::new(mesh.vertices.len(), &mesh.faces);
+    let own_of = |v: u32| neighbours.of(v as usize).iter().copied().filter(|&n| labels[n as usize] == own);
+    out.extend(met.into_iter().map(|v| {
+        // The last vertex that is seen is half an edge inside on average.
+        let ring: Vec<Vec3> = own_of(v).flat_map(own_of).filter(|&n| n != v).map(place).collect();
+        let inside = ring.iter().sum::<Vec3>() / ring.len().max(1) as f64;
+        let outward = (place(v) - inside).try_normalize(1e-9).unwrap_or_else(Vec3::zeros);
+        place(v) + outward * (if ring.is_empty() { 0.0 } else { 0.5 * typical })
+    }));
     out
 }
 
@@ -394,6 +414,14 @@ mod tests {
         // A gap of two squares beside the cloth, and a hole in the middle of it.
         let torn = sheet(&|i| !(10..12).contains(&(i % 21)) && (i % 21, i / 21) != (4, 9));
         let across = ends(&torn, &labels, Label::Upper, None, anywhere);
-        assert!(across.len() >= 21 && across.iter().all(|p| (p.x - 0.1).abs() < 1e-9), "{across:?}");
+        assert!(across.len() >= 20, "{across:?}");
+        // The outward direction leans at the sheet's corners.
+        let inner = across.iter().filter(|p| p.y > 0.03 && p.y < 0.17);
+        assert!(inner.clone().count() >= 12 && inner.clone().all(|p| (p.x - 0.105).abs() < 5e-4), "{across:?}");
+        // The gap is closed along a part: around there the closed part says where the cloth ends.
+        let partly = sheet(&|i| !(10..12).contains(&(i % 21)) || i / 21 < 8);
+        let both = ends(&partly, &labels, Label::Upper, None, anywhere);
+        let at_gap: Vec<&Vec3> = both.iter().filter(|p| p.y > 0.081).collect();
+        assert!(at_gap.len() > 5 && at_gap.iter().all(|p| p.y > 0.08 + BESIDE - 0.011), "{at_gap:?}");
     }
 }

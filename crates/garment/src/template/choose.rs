@@ -1,8 +1,8 @@
 //! Which template a scan wears: the smallest Chamfer distance among candidates (Sec. 3.1).
 
-use super::Template;
+use super::{Template, WornAs};
 use caphy_core::body::BlendWeights;
-use caphy_core::query::NearestGrid;
+use caphy_core::query::{NearestGrid, NearestSurface};
 use caphy_core::{Error, Result, Vec3};
 use nalgebra::Matrix3x4;
 use rayon::prelude::*;
@@ -140,6 +140,30 @@ pub fn pose_by_nearest_vertex(
             }
         })
         .collect()
+}
+
+/// Where a template would hang in a pose [m], by how another one does there: at the same places of cloth, beyond them as the body turns. A
+/// first guess for a solver, from where cloth has little left to fall.
+///
+/// # Errors
+/// As [`pose_by_nearest_vertex`]; [`Error::Length`] for a worn template that is not of its vertices.
+pub fn hung_like(
+    template: &Template,
+    other: WornAs<'_>,
+    body_weights: &BlendWeights,
+    transforms: &[Matrix3x4<f64>],
+) -> Result<Vec<Vec3>> {
+    let there = &other.template.mesh;
+    Error::check_length("vertices of a worn template", there.vertices.len(), other.vertices.len())?;
+    let skinned = pose_by_nearest_vertex(template, body_weights, transforms)?;
+    let rest = NearestSurface::from_mesh(there)?;
+    let hung = |((p, &near), skinned): ((&Vec3, &u32), Vec3)| {
+        let Some(place) = rest.nearest(p) else { return skinned };
+        let face = there.faces[place.face as usize];
+        let at: Vec3 = face.iter().zip(&place.barycentric).map(|(&v, w)| other.vertices[v as usize] * *w).sum();
+        at + body_weights.blend(near as usize, transforms).fixed_columns::<3>(0) * (p - place.point)
+    };
+    Ok(template.mesh.vertices.iter().zip(&template.weights_body_vertex).zip(skinned).map(hung).collect())
 }
 
 /// Vertices posed by linear blend skinning with their own weights, shape [vertex_count] each.

@@ -23,11 +23,11 @@ mod source;
 mod style;
 mod surface;
 
-pub use choose::{Chamfer, Choice, ChooseOptions, choose_template, pose_by_nearest_vertex, pose_by_weights};
+pub use choose::{Chamfer, Choice, ChooseOptions, choose_template, hung_like, pose_by_nearest_vertex, pose_by_weights};
 pub use ease::ease;
 pub use facts::{GarmentFacts, GarmentMeasures, LengthFacts, LoopFacts, MeasureErrors, Quantiles};
 pub use given::{FitOptions, GivenFacts, GivenMesh, LayoutFacts, PenetrationFacts, PenetrationOptions, Repairs};
-pub use refine::{Refinement, Seen, Worn, finish, refine};
+pub use refine::{Refinement, Seen, Worn, WornAs, finish, refine};
 pub use rest::BodyRest;
 pub use source::{
     TemplateFolder, TemplateLinear, TemplateMesh, TemplateParametric, TemplateSource, TemplateSpec, read_garment,

@@ -15,21 +15,23 @@ use caphy_core::query::{NearestGrid, NearestSurface, boundary_loops, nearest_on_
 use caphy_core::{Error, Result, Vec3, mesh};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Sides of the cubes that patches of points and of edges are cut by [m]: folds are narrower; a neckline has to have some.
 const PATCH: f64 = 0.1;
 const EDGE_PATCH: f64 = 0.05;
-/// How far a patch of simulated cloth is expected to lie from a scanned one, and an edge [m].
+/// How far a patch of simulated cloth is expected to lie from a scanned one [m]: folds are elsewhere.
 const SIGMA: f64 = 4e-3;
+/// The same of an edge, along the cloth [m]: what cloth folds by hardly makes it shorter.
+const EDGE_SIGMA: f64 = 2e-3;
 /// An axis that fewer patches answer to is not seen.
 const WITNESSES: usize = 3;
 /// Vertices of two templates farther apart than this differ [m]: coarse triangulations of one style do so by less.
 const DIFFERS: f64 = 5e-3;
 /// Scanned edges farther from those of a refined garment are others, or labels gone wrong [m].
 pub(super) const OTHERS_M: f64 = 0.03;
-pub(super) const OTHERS: Far = Far::Beyond(OTHERS_M / SIGMA);
+pub(super) const OTHERS: Far = Far::Beyond(OTHERS_M / EDGE_SIGMA);
 /// Most steps, and what one must promise to gain to be worth its time: half the square of two thirds of a sigma on one patch.
 const STEPS: usize = 8;
 const WORTH_IT: f64 = 0.2;
@@ -60,6 +62,15 @@ pub struct Worn {
     pub vertices: Vec<Vec3>,
 }
 
+/// Another template as it is worn in the same pose: where the next one starts from ([`hung_like`](super::hung_like)).
+#[derive(Debug, Clone, Copy)]
+pub struct WornAs<'a> {
+    /// The template.
+    pub template: &'a Template,
+    /// Its vertices in the pose [m].
+    pub vertices: &'a [Vec3],
+}
+
 /// Outcome of [`refine`], [`finish`] and [`ease`](super::ease).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refinement {
@@ -87,7 +98,7 @@ struct Trial {
 }
 
 /// Improves a style by Gauss-Newton steps. `wear` takes a template to the scan's pose, as `start` was taken there, whose edges are about
-/// `resolution_m` long [m]. A source without anything between its garments gives the start back: nothing is worn again.
+/// `resolution_m` long [m]; it is told how one of a style nearby is worn. A source without anything between its garments gives the start back: nothing is worn again.
 ///
 /// # Errors
 /// Those of [`TemplateSource::template`] and of `wear` (styles that no garment can be made of, or worn, are passed over);
@@ -98,7 +109,7 @@ pub fn refine(
     start: Worn,
     resolution_m: f64,
     seen: Seen<'_>,
-    wear: impl Fn(&Template) -> Result<Vec<Vec3>> + Sync,
+    wear: impl Fn(&Template, Option<WornAs<'_>>) -> Result<Vec<Vec3>> + Sync,
 ) -> Result<Refinement> {
     for (what, list) in [("scan points of a garment", seen.points), ("edges of a scanned garment", seen.edges)] {
         let flat: Vec<f64> = list.iter().flat_map(|p| p.iter().copied()).collect();
@@ -109,9 +120,9 @@ pub fn refine(
         return Err(Error::numerics("refinement of a garment template", "the scan has no points of it", remedy));
     }
     let patches = Patches::new(&seen);
-    let attempt = |style: &Style| -> Result<Trial> {
+    let attempt = |style: &Style, like: &Trial| -> Result<Trial> {
         let template = source.template(tailor, style, resolution_m)?;
-        let worn = wear(&template)?;
+        let worn = wear(&template, like.worn_in(0))?;
         let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
         Ok(Trial { template, worn: vec![worn], residuals })
     };
@@ -123,17 +134,17 @@ pub fn refine(
     let mut now = Trial { template, worn: vec![worn], residuals };
     let mut evaluations = 0;
     // Garments a difference away along some axes; `None` where none can be made.
-    let around = |u: &[f64], axes: &[usize], outward: bool| -> Result<Vec<Option<(Vec<f64>, Trial)>>> {
+    let around = |u: &[f64], now: &Trial, axes: &[usize], outward: bool| -> Result<Vec<Option<(Vec<f64>, Trial)>>> {
         let away = |&axis: &usize| {
             let to = beside(u, axis, outward);
-            let trial = passed_over(source.at(start, &to).and_then(|style| attempt(&style)))?;
+            let trial = passed_over(source.at(start, &to).and_then(|style| attempt(&style, now)))?;
             Ok(trial.map(|t| (to, t)))
         };
         axes.par_iter().map(away).collect()
     };
     // What the scan says nothing of goes to the middle at once and stays there.
     let every: Vec<usize> = (0..axes).collect();
-    let mut near = around(&u, &every, false)?;
+    let mut near = around(&u, &now, &every, false)?;
     evaluations += axes;
     let cover = Cover::new(&seen);
     let mut free = Vec::new();
@@ -144,8 +155,8 @@ pub fn refine(
     }
     if free.len() < axes {
         every.iter().filter(|k| !free.contains(k)).for_each(|&k| u[k] = MIDDLE);
-        now = attempt(&source.at(start, &u)?)?;
-        near = around(&u, &free, false)?;
+        now = attempt(&source.at(start, &u)?, &now)?;
+        near = around(&u, &now, &free, false)?;
         evaluations += 1 + free.len();
     }
     let mut slopes = DMatrix::zeros(now.residuals.len(), axes);
@@ -154,7 +165,7 @@ pub fn refine(
     for round in 0..if free.is_empty() { 0 } else { STEPS } {
         if round > 0 {
             // From the other side each time: folds of the middle one are then in no slope.
-            near = around(&u, &free, round % 2 == 1)?;
+            near = around(&u, &now, &free, round % 2 == 1)?;
             evaluations += free.len();
         }
         tried.extend(near.iter().flatten().map(|(to, trial)| trial.as_tried(to)));
@@ -168,7 +179,7 @@ pub fn refine(
             .par_iter()
             .map(|share| {
                 let to: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + share * s).collect();
-                let trial = passed_over(source.at(start, &to).and_then(|style| attempt(&style)))?;
+                let trial = passed_over(source.at(start, &to).and_then(|style| attempt(&style, &now)))?;
                 Ok(trial.map(|t| (to, t)))
             })
             .collect::<Result<_>>()?;
@@ -208,13 +219,15 @@ pub fn finish(
     refined: &Refinement,
     [from_m, to_m]: [f64; 2],
     seen: &[Seen<'_>],
-    wear: impl Fn(&Template, usize) -> Result<Vec<Vec3>> + Sync,
+    wear: impl Fn(&Template, usize, Option<WornAs<'_>>) -> Result<Vec<Vec3>> + Sync,
 ) -> Result<Refinement> {
     let patches: Vec<Patches> = seen.iter().map(Patches::new).collect();
-    let attempt = |style: &Style, resolution_m: f64, scans: Range<usize>| -> Result<Trial> {
+    // `like` is worn in all scans from the first of `scans` on.
+    let attempt = |style: &Style, resolution_m: f64, scans: Range<usize>, like: Option<&Trial>| -> Result<Trial> {
         let template = source.template(tailor, style, resolution_m)?;
+        let first = scans.start;
         let one = |scan: usize| {
-            let worn = wear(&template, scan)?;
+            let worn = wear(&template, scan, like.and_then(|l| l.worn_in(scan - first)))?;
             let residuals = patches[scan].residuals(&seen[scan], &worn, &template.mesh.faces)?;
             Ok((worn, residuals))
         };
@@ -226,17 +239,19 @@ pub fn finish(
     let mut u = source.coordinates(start);
     let mut evaluations = 0;
     let mut slopes = refined.slopes.clone();
+    let mut coarse = Trial { template: refined.template.clone(), worn: refined.worn.clone(), residuals: Vec::new() };
     if slopes.iter().any(|s| *s != 0.0) && seen.len() > 1 {
         let more = 1..seen.len();
-        let here = attempt(start, from_m, more.clone())?;
+        let here = attempt(start, from_m, more.clone(), None)?;
         let beside = (0..u.len())
+            .into_par_iter()
             .map(|axis| {
                 if slopes.column(axis).iter().all(|s| *s == 0.0) {
                     return Ok(None);
                 }
                 let to = beside(&u, axis, false);
-                let trial = passed_over(source.at(start, &to).and_then(|s| attempt(&s, from_m, more.clone())))?;
-                Ok(trial.map(|t| (to, t)))
+                let trial = source.at(start, &to).and_then(|s| attempt(&s, from_m, more.clone(), Some(&here)));
+                Ok(passed_over(trial)?.map(|t| (to, t)))
             })
             .collect::<Result<Vec<_>>>()?;
         evaluations += 1 + u.len();
@@ -244,8 +259,9 @@ pub fn finish(
         slopes = DMatrix::from_fn(slopes.nrows() + theirs.nrows(), u.len(), |row, axis| {
             if row < slopes.nrows() { slopes[(row, axis)] } else { theirs[(row - slopes.nrows(), axis)] }
         });
+        coarse.worn.extend(here.worn);
     }
-    let mut now = attempt(start, to_m, 0..seen.len())?;
+    let mut now = attempt(start, to_m, 0..seen.len(), Some(&coarse))?;
     evaluations += 1;
     Error::check_length("residuals of a refined template", slopes.nrows(), now.residuals.len())?;
     for _ in 0..FINE_STEPS {
@@ -259,8 +275,9 @@ pub fn finish(
         for share in SHARES {
             let to: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + share * s).collect();
             evaluations += 1;
-            let trial = passed_over(source.at(start, &to).and_then(|s| attempt(&s, to_m, 0..seen.len())))?;
-            if let Some(trial) = trial.filter(|t| cost(&to, &t.residuals, OTHERS) < cost(&u, &now.residuals, OTHERS)) {
+            let trial = source.at(start, &to).and_then(|s| attempt(&s, to_m, 0..seen.len(), Some(&now)));
+            let cheaper = |t: &Trial| cost(&to, &t.residuals, OTHERS) < cost(&u, &now.residuals, OTHERS);
+            if let Some(trial) = passed_over(trial)?.filter(cheaper) {
                 (u, now, better) = (to, trial, true);
                 break;
             }
@@ -273,6 +290,9 @@ pub fn finish(
 }
 
 impl Trial {
+    fn worn_in(&self, scan: usize) -> Option<WornAs<'_>> {
+        self.worn.get(scan).map(|vertices| WornAs { template: &self.template, vertices })
+    }
     fn as_tried(&self, u: &[f64]) -> Tried {
         Tried { u: u.to_vec(), residuals: self.residuals.clone() }
     }
@@ -303,7 +323,7 @@ fn edges_off(patches: &[Patches], residuals: &[f64]) -> f64 {
     for patches in patches {
         let edges = at + patches.points.len();
         at = edges + patches.edges.len();
-        square += residuals[edges..at].iter().map(|r| (r * SIGMA).powi(2)).sum::<f64>();
+        square += residuals[edges..at].iter().map(|r| (r * EDGE_SIGMA).powi(2)).sum::<f64>();
         count += patches.edges.len();
     }
     (square / count.max(1) as f64).sqrt()
@@ -378,33 +398,6 @@ pub(super) fn passed_over<T>(trial: Result<T>) -> Result<Option<T>> {
     }
 }
 
-/// A mesh whose triangles are cut in four, edge middles moved out to where a smooth surface through the vertices has them: flat triangles of
-/// candidates lie deeper than cloth by L²/8r, 3 mm on an arm. (Phong tessellation, Boubekeur and Alexa 2008, at the strength that is
-/// exact on circles.)
-pub(super) fn rounded(vertices: &[Vec3], faces: &[[u32; 3]]) -> (Vec<Vec3>, Vec<[u32; 3]>) {
-    let normals = mesh::vertex_normals(vertices, faces);
-    let mut out = vertices.to_vec();
-    let mut middles: HashMap<[u32; 2], u32> = HashMap::new();
-    let mut middle = |a: u32, b: u32| {
-        *middles.entry([a.min(b), a.max(b)]).or_insert_with(|| {
-            let [p, q] = [a, b].map(|v| vertices[v as usize]);
-            let [m, n] = [a, b].map(|v| normals[v as usize]);
-            let at = (p + q) * 0.5;
-            let above = m * (p - at).dot(&m) + n * (q - at).dot(&n);
-            out.push(at + above * 0.25);
-            out.len() as u32 - 1
-        })
-    };
-    let fine = faces
-        .iter()
-        .flat_map(|&[a, b, c]| {
-            let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
-            [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-        })
-        .collect();
-    (out, fine)
-}
-
 /// Points that are taken together.
 pub(super) struct Patches {
     points: Vec<Vec<usize>>,
@@ -415,20 +408,21 @@ impl Patches {
     pub(super) fn new(seen: &Seen<'_>) -> Self {
         Self { points: in_cubes(seen.points, PATCH), edges: in_cubes(seen.edges, EDGE_PATCH) }
     }
-    /// Median signed distance over sigma of each patch from a garment.
+    /// Median signed distance over its sigma of each patch from a garment.
     pub(super) fn residuals(&self, seen: &Seen<'_>, vertices: &[Vec3], faces: &[[u32; 3]]) -> Result<Vec<f64>> {
-        let (round, fine) = rounded(vertices, faces);
-        let surface = NearestSurface::new(&round, &fine)?;
+        let round = mesh::rounded(vertices, faces);
+        let surface = NearestSurface::from_mesh(&round)?;
         let boundary = Boundary::new(vertices, faces);
         let from_surface = |p: &Vec3| {
             let Some(near) = surface.nearest(p) else { return 0.0 };
-            let [a, b, c] = fine[near.face as usize].map(|v| round[v as usize]);
+            let [a, b, c] = round.corners(near.face as usize);
             let normal = (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vec3::zeros);
             (p - near.point).dot(&normal)
         };
-        let points = self.points.iter().map(|patch| median(patch.iter().map(|&i| from_surface(&seen.points[i]))));
-        let edges = self.edges.iter().map(|patch| median(patch.iter().map(|&i| boundary.beyond(&seen.edges[i]))));
-        Ok(points.chain(edges).map(|d| d / SIGMA).collect())
+        let points =
+            self.points.iter().map(|patch| median(patch.iter().map(|&i| from_surface(&seen.points[i]))) / SIGMA);
+        let beyond = |patch: &Vec<usize>| median(patch.iter().map(|&i| boundary.beyond(&seen.edges[i]))) / EDGE_SIGMA;
+        Ok(points.chain(self.edges.iter().map(beyond)).collect())
     }
 }
 
@@ -496,29 +490,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rounded_tube_is_round() {
-        // Eight sides and short triangles on a radius of 0.1: flat middles are deeper by 0.1 (1 - cos 22.5°), 7.6 mm.
-        let (around, rings) = (8u32, 5u32);
-        let vertices: Vec<Vec3> = (0..rings * around)
-            .map(|i| {
-                let (s, c) = (std::f64::consts::TAU * f64::from(i % around) / f64::from(around)).sin_cos();
-                Vec3::new(0.1 * c, 0.07 * f64::from(i / around), 0.1 * s)
-            })
-            .collect();
-        let faces: Vec<[u32; 3]> = (0..(rings - 1) * around)
-            .flat_map(|i| {
-                let next = i - i % around + (i + 1) % around;
-                [[i, i + around, next], [next, i + around, next + around]]
-            })
-            .collect();
-        let (round, fine) = rounded(&vertices, &faces);
-        assert_eq!(fine.len(), 4 * faces.len());
-        let inner = round.iter().filter(|p| p.y > 0.05 && p.y < 0.23);
-        // The sum is off by 3/8 of the fourth power of half the angle between vertices: 0.9 mm at 22.5°.
-        assert!(inner.map(|p| p.x.hypot(p.z)).all(|r| (r - 0.1).abs() < 1e-3));
-    }
-
-    #[test]
     fn edges_are_signed_along_the_surface() {
         // A strip of two squares along x, its boundary all around.
         let vertices: Vec<Vec3> = (0..6).map(|i| Vec3::new(f64::from(i / 2), f64::from(i % 2), 0.0)).collect();
@@ -531,6 +502,6 @@ mod tests {
         assert!((boundary.beyond(&Vec3::new(0.5, 1.25, 0.0)) - 0.25).abs() < 1e-12);
         let seen = Seen { points: &[Vec3::new(0.5, 0.5, 0.01)], edges: &[Vec3::new(2.02, 0.5, 0.0)], covered_by: &[] };
         let r = Patches::new(&seen).residuals(&seen, &vertices, &faces).unwrap();
-        assert!((r[0].abs() - 0.01 / SIGMA).abs() < 1e-9 && (r[1] - 0.02 / SIGMA).abs() < 1e-9, "{r:?}");
+        assert!((r[0].abs() - 0.01 / SIGMA).abs() < 1e-9 && (r[1] - 0.02 / EDGE_SIGMA).abs() < 1e-9, "{r:?}");
     }
 }

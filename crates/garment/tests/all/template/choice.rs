@@ -3,8 +3,8 @@
 use super::{body, shirt, trousers};
 use caphy_core::{Error, Vec3};
 use caphy_garment::template::{
-    ChooseOptions, GarmentKind, Seen, Tailor, Template, TemplateParametric, Worn, choose_template, ease, finish,
-    pose_by_nearest_vertex, pose_by_weights, refine, sample_styles,
+    ChooseOptions, GarmentKind, Seen, Tailor, Template, TemplateParametric, Worn, WornAs, choose_template, ease,
+    finish, hung_like, pose_by_nearest_vertex, pose_by_weights, refine, sample_styles,
 };
 use nalgebra::{Matrix3x4, Rotation3};
 
@@ -60,7 +60,7 @@ fn refinement_comes_nearer_to_the_style() {
         Worn { vertices: vertices(&template), template }
     };
     let seen = Seen { points: &scan, edges: &edges, covered_by: &[] };
-    let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t| Ok(vertices(t))).unwrap();
+    let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t, _| Ok(vertices(t))).unwrap();
     assert_eq!(found.template.style, found.style);
     assert_eq!(found.worn, [vertices(&found.template)]);
     let off = |s: &caphy_garment::template::Style| {
@@ -77,7 +77,7 @@ fn refinement_comes_nearer_to_the_style() {
     let trunk: Vec<Vec3> = scan.iter().filter(|p| p.x.abs() < 0.15).copied().collect();
     let hem: Vec<Vec3> = edges.iter().filter(|p| p.x.abs() < 0.15).copied().collect();
     let seen = Seen { points: &trunk, edges: &hem, covered_by: &[] };
-    let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t| Ok(vertices(t))).unwrap();
+    let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t, _| Ok(vertices(t))).unwrap();
     assert_eq!(found.style.to_unit()[0], 0.5);
     assert!((found.style.to_unit()[1] - truth.to_unit()[1]).abs() < 0.01, "{:?}", found.style);
 }
@@ -100,7 +100,7 @@ fn a_waist_under_a_shirt_is_not_guessed_from_folds() {
         let template = tailor.generate(&trousers(0.6, 0.015, 0.3), 0.03).unwrap();
         let start = Worn { vertices: wear(&template).unwrap(), template };
         let seen = Seen { points: &scan, edges: &edges, covered_by };
-        refine(&TemplateParametric {}, &tailor, start, 0.03, seen, wear).unwrap().style.to_unit()[2]
+        refine(&TemplateParametric {}, &tailor, start, 0.03, seen, |t, _| wear(t)).unwrap().style.to_unit()[2]
     };
     assert_eq!(rise(&over), 0.5);
     assert_ne!(rise(&[]), 0.5, "the folds answer");
@@ -121,8 +121,8 @@ fn coarse_cloth_that_stands_off_does_not_make_the_fine_template_narrower() {
     };
     let template = tailor.generate(&shirt(0.5, 0.5, 0.02, 0.4), 0.035).unwrap();
     let start = Worn { vertices: wear(&template).unwrap(), template };
-    let coarse = refine(&TemplateParametric {}, &tailor, start, 0.035, seen, wear).unwrap();
-    let fine = finish(&TemplateParametric {}, &tailor, &coarse, [0.035, 0.02], &[seen; 2], |t, _| wear(t)).unwrap();
+    let coarse = refine(&TemplateParametric {}, &tailor, start, 0.035, seen, |t, _| wear(t)).unwrap();
+    let fine = finish(&TemplateParametric {}, &tailor, &coarse, [0.035, 0.02], &[seen; 2], |t, _, _| wear(t)).unwrap();
     let [wide, before, after] = [&truth, &coarse.style, &fine.style].map(|s| s.values()[2]);
     assert!(wide - before > 0.002, "{before}");
     // A tenth of a fine triangle, as in `refinement_comes_nearer_to_the_style`; where shirts touch the skin, ease does not show.
@@ -150,9 +150,9 @@ fn a_shirt_that_is_wider_in_places_is_cut_wider_there() {
     let folded = |p: &Vec3| wider(p) + 0.004 * (90.0 * p.x).sin();
     let scan = out(&scanned.mesh, &folded);
     let seen = Seen { points: &scan, edges: &[], covered_by: &[] };
-    let wear = |t: &Template, _: usize| Ok(vertices(t));
+    let wear = |t: &Template, _: usize, _: Option<WornAs<'_>>| Ok(vertices(t));
     let worn = Worn { vertices: vertices(&start), template: start.clone() };
-    let mut as_cut = refine(&TemplateParametric {}, &tailor, worn, 0.022, seen, |t| wear(t, 0)).unwrap();
+    let mut as_cut = refine(&TemplateParametric {}, &tailor, worn, 0.022, seen, |t, like| wear(t, 0, like)).unwrap();
     (as_cut.template, as_cut.worn) = (start.clone(), vec![vertices(&start)]);
     let eased = ease(&tailor, as_cut, &[seen], wear).unwrap();
     let errors = |t: &Template| t.measures().against(&truth.measures());
@@ -189,9 +189,9 @@ fn a_shirt_that_ends_elsewhere_is_cut_there() {
     let hem = scan.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
     edges.extend(scan.iter().filter(|p| (p.y - hem - 0.08).abs() < 0.02 && p.z > 0.0));
     let seen = Seen { points: &scan, edges: &edges, covered_by: &[] };
-    let wear = |t: &Template, _: usize| Ok(vertices(t));
+    let wear = |t: &Template, _: usize, _: Option<WornAs<'_>>| Ok(vertices(t));
     let worn = Worn { vertices: vertices(&start), template: start.clone() };
-    let mut as_cut = refine(&TemplateParametric {}, &tailor, worn, 0.022, seen, |t| wear(t, 0)).unwrap();
+    let mut as_cut = refine(&TemplateParametric {}, &tailor, worn, 0.022, seen, |t, like| wear(t, 0, like)).unwrap();
     (as_cut.template, as_cut.worn) = (start.clone(), vec![vertices(&start)]);
     let eased = ease(&tailor, as_cut, &[seen], wear).unwrap();
     let off = |t: &Template| t.measures().against(&scanned.measures());
@@ -223,6 +223,29 @@ fn posing_moves_vertices_with_the_body() {
     assert_eq!(pose_by_weights(&t.mesh.vertices, &own, &[rigid; 55]).unwrap(), posed);
     assert!(pose_by_nearest_vertex(&t, &body.weights, &[rigid; 3]).is_err());
     assert!(pose_by_weights(&t.mesh.vertices[1..], &own, &[rigid; 55]).is_err());
+}
+
+#[test]
+fn a_garment_hangs_like_another_one() {
+    let body = body::capsules();
+    let tailor = Tailor::new(body.clone()).unwrap();
+    let short = tailor.generate(&shirt(0.3, 0.4, 0.01, 0.2), 0.03).unwrap();
+    let long = tailor.generate(&shirt(0.5, 0.4, 0.01, 0.2), 0.03).unwrap();
+    let turn = Rotation3::from_scaled_axis(Vec3::new(0.1, 0.7, -0.2));
+    let mut rigid = Matrix3x4::zeros();
+    rigid.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
+    // Turned with the body, and 3 cm lower than skinning has it.
+    let drop = Vec3::new(0.0, -0.03, 0.0);
+    let worn: Vec<Vec3> = short.mesh.vertices.iter().map(|p| turn * p + drop).collect();
+    let like = WornAs { template: &short, vertices: &worn };
+    for template in [&short, &long] {
+        let hung = hung_like(template, like, &body.weights, &[rigid; 55]).unwrap();
+        // Sleeves that are longer go on as the arm turns.
+        assert!(template.mesh.vertices.iter().zip(&hung).all(|(p, q)| (turn * p + drop - q).norm() < 1e-9));
+    }
+    let few = WornAs { template: &short, vertices: &worn[1..] };
+    assert!(matches!(hung_like(&long, few, &body.weights, &[rigid; 55]), Err(Error::Length { .. })));
+    assert!(hung_like(&long, like, &body.weights, &[rigid; 3]).is_err());
 }
 
 #[test]

@@ -7,7 +7,7 @@ use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_formats::obj::write_obj;
 use caphy_garment::template::{
     BodyRest, ChooseOptions, FitOptions, GarmentKind, GivenMesh, Seen, Style, Tailor, Template, TemplateSpec, Worn,
-    choose_template, finish, read_garment, refine, templates,
+    WornAs, choose_template, finish, read_garment, refine, templates,
 };
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -355,11 +355,11 @@ fn a_folder_offers_the_garments_of_a_kind_and_a_scan_chooses() {
     assert_eq!(name(&uppers[choice.index]), "short");
     let seen = Seen { points: &scan, edges: &[], covered_by: &[] };
     // Nothing lies between garments of a folder: refinement gives the choice back, and wears nothing.
-    let again = |_: &Template| -> Result<Vec<Vec3>> { panic!("worn again") };
+    let again = |_: &Template, _: Option<WornAs<'_>>| -> Result<Vec<Vec3>> { panic!("worn again") };
     let start = Worn { template: candidates[1].clone(), vertices: posed[1].clone() };
     let refined = refine(&*source, tailor(), start, 0.03, seen, again).unwrap();
     assert_eq!((&refined.style, &refined.worn[0], refined.evaluations), (&uppers[1], &posed[1], 0));
-    let vertices = |t: &Template, _: usize| Ok(t.mesh.vertices.clone());
+    let vertices = |t: &Template, _: usize, _: Option<WornAs<'_>>| Ok(t.mesh.vertices.clone());
     let finished = finish(&*source, tailor(), &refined, [0.03; 2], &[seen], vertices).unwrap();
     assert_eq!((&finished.style, finished.evaluations), (&uppers[1], 1));
     assert!(source.template(tailor(), &styles[0], 0.03).is_err());
@@ -463,7 +463,7 @@ fn a_linear_space_makes_garments_from_coefficients() {
     let scan = scanned.mesh.subdivided().vertices;
     let edges: Vec<Vec3> =
         scanned.loops.iter().flat_map(|l| &l.vertices).map(|&v| scanned.mesh.vertices[v as usize]).collect();
-    let vertices = |t: &Template| Ok(t.mesh.vertices.clone());
+    let vertices = |t: &Template, _: Option<WornAs<'_>>| Ok(t.mesh.vertices.clone());
     let seen = Seen { points: &scan, edges: &edges, covered_by: &[] };
     let template = source.template(tailor(), &styles[0], 0.03).unwrap();
     let start = Worn { vertices: template.mesh.vertices.clone(), template };
