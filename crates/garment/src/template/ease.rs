@@ -6,7 +6,7 @@
 //! is there: its edges, and less so the cloth beside them, move along the surface. Differs from the paper, whose template is a style's.
 
 use super::refine::{Boundary, OTHERS, OTHERS_M, Patches, Refinement, Seen, WornAs, median, passed_over};
-use super::response::cost_of;
+use super::response::{cost_of, near_cost_of};
 use super::shape::smooth_step;
 use super::{Tailor, Template, grain};
 use caphy_core::query::NearestSurface;
@@ -26,7 +26,7 @@ const MOVES: f64 = 0.06;
 const STILL: f64 = 4.0;
 /// Most rounds: worn again, cloth answers less than it was moved where it folds.
 const ROUNDS: usize = 4;
-/// Share of the cost that a round has to take away: the same garment in other folds differs by a few hundredths.
+/// Share of the cost of what is near that a round has to take away: the same garment in other folds differs by a few hundredths.
 const WORTH_IT: f64 = 0.1;
 
 /// Moves a finished template towards scans; `wear` as of [`super::finish`]. Given garments keep their own shape.
@@ -48,7 +48,8 @@ pub fn ease(
         let each = patches.iter().zip(seen).zip(worn).map(|((p, s), w)| p.residuals(s, w, faces));
         Ok(each.collect::<Result<Vec<_>>>()?.concat())
     };
-    let mut cost = cost_of(&residuals(&now.worn, &now.template.mesh.faces)?, OTHERS);
+    let start = residuals(&now.worn, &now.template.mesh.faces)?;
+    let (mut cost, mut near) = (cost_of(&start, OTHERS), near_cost_of(&start, OTHERS));
     for _ in 0..ROUNDS {
         let template = tailor.moved(&now.template, &moves(&now.template, &now.worn, seen)?);
         let like = |vertices| Some(WornAs { template: &now.template, vertices });
@@ -57,10 +58,10 @@ pub fn ease(
         let Some(worn) = passed_over(worn)? else { break };
         let residuals = residuals(&worn, &template.mesh.faces)?;
         let reached = cost_of(&residuals, OTHERS);
-        if reached > (1.0 - WORTH_IT) * cost {
+        if reached > cost - WORTH_IT * near {
             break;
         }
-        cost = reached;
+        (cost, near) = (reached, near_cost_of(&residuals, OTHERS));
         now.replace(&patches, template, worn, &residuals);
     }
     Ok(now)

@@ -108,6 +108,12 @@ pub(super) fn cost_of(residuals: &[f64], far: Far) -> f64 {
     residuals.iter().map(|r| loss(*r, far).0).sum()
 }
 
+/// The part of [`cost_of`] that is not of what is far: what a better garment can take away.
+pub(super) fn near_cost_of(residuals: &[f64], far: Far) -> f64 {
+    let near = |r: &&f64| !matches!(far, Far::Beyond(at) if r.abs() > at);
+    residuals.iter().filter(near).map(|r| loss(*r, far).0).sum()
+}
+
 /// ρ(r) and its weight ρ′(r)/r: Huber's, constant from where it is far.
 fn loss(r: f64, far: Far) -> (f64, f64) {
     let huber = |r: f64| if r <= ROBUST_AT { 0.5 * r * r } else { ROBUST_AT * (r - 0.5 * ROBUST_AT) };
@@ -184,6 +190,9 @@ mod tests {
         let (pulled, _) = model.step(&[0.5], Far::Nowhere).unwrap();
         let (step, gain) = model.step(&[0.5], Far::Beyond(7.5)).unwrap();
         assert!(pulled[0] < -0.01 && step[0] == 0.0 && gain == 0.0, "{pulled} {step}");
+        let residuals: Vec<f64> = (0..20).map(|row| if row == 7 { 25.0 } else { 1.0 }).collect();
+        assert_eq!(near_cost_of(&residuals, Far::Beyond(7.5)), 0.5 * 19.0);
+        assert_eq!(near_cost_of(&residuals, Far::Nowhere), cost_of(&residuals, Far::Nowhere));
         for far in [Far::Nowhere, Far::Beyond(7.5)] {
             // Continuous, and its weight is its slope.
             for r in [-9.0, -7.5, -2.0, -0.5, 0.0, 1.9, 2.1, 7.4, 7.6] {
