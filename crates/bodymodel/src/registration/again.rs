@@ -19,14 +19,14 @@ const ENOUGH: f64 = 0.95;
 /// Poses per limb that are tried to the end.
 const PER_LIMB: usize = 3;
 
-/// Fits the scans with too little skin on the body again, limb by limb, and keeps what explains them better. Returns which were changed.
+/// Fits the scans with too little skin on the body again, limb by limb, and keeps what explains them better.
 pub(super) fn look_again(
     problem: &Problem,
     scans: &[RegistrationScan],
     data: &[ScanData],
     state: &mut State,
-) -> Result<Vec<usize>> {
-    let fine = Level { shape: false, ..Level::at(problem.settings, 1.0, Group::End, false) };
+) -> Result<()> {
+    let fine = Level::at(problem.settings, 1.0, Group::End, false);
     let proxy = Proxy::new(problem.body, &state.shape)?;
     let better: Vec<Option<Pose>> = (0..scans.len())
         .into_par_iter()
@@ -53,14 +53,12 @@ pub(super) fn look_again(
             Ok(best)
         })
         .collect::<Result<_>>()?;
-    let mut changed = Vec::new();
-    for (i, pose) in better.into_iter().enumerate() {
+    for (slot, pose) in state.poses.iter_mut().zip(better) {
         if let Some(pose) = pose {
-            state.poses[i] = pose;
-            changed.push(i);
+            *slot = pose;
         }
     }
-    Ok(changed)
+    Ok(())
 }
 
 /// A pose from coarse to fine, as the first fit went, with the shape held.

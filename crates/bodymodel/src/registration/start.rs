@@ -132,6 +132,17 @@ struct Limb {
     table: Vec<[Vec3; 2]>,
 }
 
+impl Limb {
+    /// A pose with this limb turned to an entry of its table.
+    fn turned(&self, pose: &Pose, entry: &[Vec3; 2]) -> Pose {
+        let mut out = pose.clone();
+        for (&joint, rotation) in self.joints.iter().zip(entry) {
+            out.rotations[joint] = *rotation;
+        }
+        out
+    }
+}
+
 fn turn(axis: usize, degrees: f64) -> Rotation3<f64> {
     let mut v = Vec3::zeros();
     v[axis] = degrees.to_radians();
@@ -275,10 +286,7 @@ impl<'a> Proxy<'a> {
         for limb in &limbs {
             let mut of_limb: Vec<(f64, Pose)> = Vec::new();
             for entry in &limb.table {
-                let mut trial = pose.clone();
-                for (&joint, rotation) in limb.joints.iter().zip(entry) {
-                    trial.rotations[joint] = *rotation;
-                }
+                let trial = limb.turned(pose, entry);
                 of_limb.push((misfit(&self.pose(&trial), &target, &mut scratch), trial));
             }
             of_limb.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -302,10 +310,7 @@ impl<'a> Proxy<'a> {
         for _ in 0..2 {
             for limb in limbs {
                 for entry in &limb.table {
-                    let mut trial = pose.clone();
-                    for (&joint, rotation) in limb.joints.iter().zip(entry) {
-                        trial.rotations[joint] = *rotation;
-                    }
+                    let trial = limb.turned(&pose, entry);
                     let cost = misfit(&self.pose(&trial), target, &mut scratch);
                     if cost < best {
                         (best, pose) = (cost, trial);
