@@ -251,13 +251,13 @@ impl Default for ViewsConfig {
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TemplatesConfig {
-    /// Scans that garments are cut by, those nearest to the standard pose. Default 3; the paper takes one, whose folds then are in the cut.
+    /// Scans that garments are cut by, those nearest to the standard pose. Default 6; the paper takes one, whose folds then are in the cut.
     pub scans: usize,
 }
 
 impl Default for TemplatesConfig {
     fn default() -> Self {
-        Self { scans: 3 }
+        Self { scans: 6 }
     }
 }
 

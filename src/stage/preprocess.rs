@@ -1,5 +1,6 @@
 //! From scans to labels, a naked body under the clothes, and garment templates (Sec. 3.1).
 
+mod ends;
 mod standard;
 mod templates;
 mod touching;

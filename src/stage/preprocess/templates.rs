@@ -3,6 +3,7 @@
 //! A template against a scan would measure how cloth hangs: candidates are put on the fitted body in the scan's pose and brought to
 //! rest, the inner garment first, the outer one over it.
 
+use super::ends::Ends;
 use super::{Subject, SubjectScan};
 use crate::config::GarmentConfig;
 use crate::garment::FittedGarment;
@@ -14,30 +15,28 @@ use crate::stage::scans::read_framed;
 use crate::stage::{Context, Scans, material};
 use caphy_core::body::{BodyModel, PosedBody};
 use caphy_core::material::MaterialModel;
-use caphy_core::query::{Adjacency, NearestGrid, boundary_loops};
+use caphy_core::query::NearestGrid;
 use caphy_core::scan::Label;
 use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_garment::solver::SolverSettings;
 use caphy_garment::template::{
-    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Seen, Tailor, Template, Worn, WornAs, choose_template, ease,
-    finish, hung_like, pose_by_nearest_vertex, refine, templates,
+    BodyRest, ChooseOptions, GarmentKind, GarmentMeasures, Rim, Seen, Tailor, Template, Worn, WornAs, choose_template,
+    ease, finish, hung_like, pose_by_nearest_vertex, refine, templates,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 /// Edge length of the templates that styles are compared with [m]: style does not show in detail.
 const CANDIDATE_RESOLUTION: f64 = 0.035;
+/// Styles are refined with this many of the scans at most; all of them ease the template.
+const STYLED: usize = 3;
 /// Scan points per garment that styles are compared with.
 const CANDIDATE_POINTS: usize = 3000;
 /// Points of the edges of a garment that styles are refined with.
 const EDGE_POINTS: usize = 600;
 /// Skin under cloth, and skin beside it where it ends, are this near to each other on the body at rest, where limbs are apart [m].
 const SAME_PLACE: f64 = 0.07;
-/// Widest gap of a scan between cloth and where it ends, in its edges, and how far from ends without a gap ends at a gap are [m].
-const GAP: f64 = 4.0;
-const BESIDE: f64 = 0.04;
 /// Force that may be left on worn candidates, as a share of a vertex's weight, and most steps to get there: millimetres do not matter.
 const ROUGHLY: f64 = 0.05;
 const STEPS: usize = 60;
@@ -50,8 +49,10 @@ pub(super) fn effort(settings: &GarmentConfig, scans: usize) -> f64 {
         return 2.0;
     }
     // Some rounds of refinement; each further scan is measured along all axes; then a few templates as fine as wanted, from good guesses.
-    let coarse = settings.worn + 25 + 5 * scans.saturating_sub(1);
-    coarse as f64 + 6.0 * scans as f64 * FROM_A_GUESS * wearing((CANDIDATE_RESOLUTION / settings.resolution_m).powi(2))
+    let styled = scans.min(STYLED);
+    let coarse = settings.worn + 25 + 5 * styled.saturating_sub(1);
+    let fine = 3.5 * styled as f64 + 3.0 * scans as f64;
+    coarse as f64 + fine * FROM_A_GUESS * wearing((CANDIDATE_RESOLUTION / settings.resolution_m).powi(2))
 }
 
 /// What wearing a garment costs from a good guess, against that from skinning alone.
@@ -104,11 +105,18 @@ struct Standing<'a> {
     posed: PosedBody,
 }
 
-/// What a scan shows of a garment, thinned [m].
+/// What a scan shows of a garment, points thinned [m].
 struct Shown {
     points: Vec<Vec3>,
     edges: Vec<Vec3>,
+    rims: Vec<Rim>,
     cover: Vec<Vec3>,
+}
+
+impl Shown {
+    fn seen(&self) -> Seen<'_> {
+        Seen { points: &self.points, edges: &self.edges, rims: &self.rims, covered_by: &self.cover }
+    }
 }
 
 /// A garment that is worn already: triangles, and vertices in each scan [m].
@@ -190,8 +198,11 @@ impl<'a> Choosing<'a> {
     ) -> Result<(Template, TemplateChoice, Inner)> {
         let covered = kind != outer(self.context.config.finetune.layering.order);
         let nearest = &self.standing[0];
-        let Shown { points, edges, cover } = &nearest.shown(kind, covered, &self.skin)?;
-        let options = ChooseOptions { covered_by: cover };
+        let shown = self.standing.iter().map(|s| s.shown(kind, covered, &self.skin)).collect::<Result<Vec<_>>>()?;
+        let all: Vec<Seen<'_>> = shown.iter().map(Shown::seen).collect();
+        let seen = all[0];
+        let points = seen.points;
+        let options = ChooseOptions { covered_by: seen.covered_by };
         let source = settings.template.template(self.context.files)?;
         let tailor = &self.tailor;
         let styles = source.styles(tailor, kind, settings.styles, self.context.config.run.seed)?;
@@ -211,11 +222,9 @@ impl<'a> Choosing<'a> {
             if settings.worn == 0 {
                 return pose(t, scan);
             }
-            let guess =
-                like.map(|like| hung_like(t, like, weights, &self.standing[scan].posed.transforms)).transpose()?;
-            let worn = self.worn(t, scan, guess.as_deref(), settings, (fabric, inner));
+            let worn = self.worn(t, scan, like, settings, (fabric, inner));
             if let Ok(mut spent) = spent.lock() {
-                let share = if guess.is_some() && t.resolution_m < CANDIDATE_RESOLUTION { FROM_A_GUESS } else { 1.0 };
+                let share = if like.is_some() && t.resolution_m < CANDIDATE_RESOLUTION { FROM_A_GUESS } else { 1.0 };
                 *spent += share * wearing(t.mesh.vertices.len() as f64 / coarse);
                 tell(*spent);
             }
@@ -226,15 +235,11 @@ impl<'a> Choosing<'a> {
         let sampled = choose_template(&worn, points, &options)?;
         let (best, vertices) = (&candidates[order[sampled.index]], worn[sampled.index].clone());
         let start = Worn { template: best.clone(), vertices };
-        let seen = Seen { points, edges, covered_by: cover };
+        let wear = |t: &Template, scan: usize, like: WornAs<'_>| wear(t, scan, Some(like));
         let refined = refine(&*source, tailor, start, CANDIDATE_RESOLUTION, seen, |t, like| wear(t, 0, like))?;
         let after = choose_template(&refined.worn, points, &options)?;
-        let shown =
-            self.standing[1..].iter().map(|s| s.shown(kind, covered, &self.skin)).collect::<Result<Vec<_>>>()?;
-        let more = shown.iter().map(|s| Seen { points: &s.points, edges: &s.edges, covered_by: &s.cover });
-        let all: Vec<Seen<'_>> = std::iter::once(seen).chain(more).collect();
         let resolutions = [CANDIDATE_RESOLUTION, settings.resolution_m];
-        let finished = finish(&*source, tailor, &refined, resolutions, &all, wear)?;
+        let finished = finish(&*source, tailor, &refined, resolutions, &all[..all.len().min(STYLED)], wear)?;
         let finished = ease(tailor, finished, &all, wear)?;
         let choice = TemplateChoice {
             kind,
@@ -250,12 +255,12 @@ impl<'a> Choosing<'a> {
         Ok((finished.template, choice, worn))
     }
 
-    /// A candidate at rest on the body in a scan's pose [m], from where skinning or a guess puts it [m].
+    /// A candidate at rest on the body in a scan's pose [m], from where skinning puts it, or from how another one hangs.
     fn worn(
         &self,
         template: &Template,
         scan: usize,
-        guess: Option<&[Vec3]>,
+        like: Option<WornAs<'_>>,
         settings: &GarmentConfig,
         (fabric, inner): (&Arc<dyn MaterialModel>, Option<&Inner>),
     ) -> Result<Vec<Vec3>> {
@@ -283,7 +288,13 @@ impl<'a> Choosing<'a> {
         let under = inner.map(|(faces, worn)| Under { faces, frames: &worn[scan..=scan] });
         let contact = scene.contact(&garment)?;
         let around = (&track, &contact, under);
-        let simulation = simulate_from(&garment, fabric.clone(), around, guess, &options, &|_, _| {})?;
+        let hung = |like: WornAs<'_>| -> Result<Vec<Vec3>> {
+            let [there, here] = [like.scan, scan].map(|s| &self.standing[s].posed.transforms);
+            let hung = hung_like(template, like, &self.body.describe().weights, there)?;
+            Ok(if like.scan == scan { hung } else { garment.carried(&hung, there, here) })
+        };
+        let guess = like.map(hung).transpose()?;
+        let simulation = simulate_from(&garment, fabric.clone(), around, guess.as_deref(), &options, &|_, _| {})?;
         simulation
             .frames
             .into_iter()
@@ -296,7 +307,8 @@ impl Standing<'_> {
     /// `skin`: the body's vertices at rest [m].
     fn shown(&self, kind: GarmentKind, covered: bool, skin: &[Vec3]) -> Result<Shown> {
         let cover = if covered { thin(&self.of_label(label_of(other(kind))), CANDIDATE_POINTS) } else { Vec::new() };
-        Ok(Shown { points: self.seen(kind)?, edges: thin(&self.edges(kind, covered, skin), EDGE_POINTS), cover })
+        let ends = self.ends(kind, covered, skin);
+        Ok(Shown { points: self.seen(kind)?, edges: thin(&ends.points(), EDGE_POINTS), rims: ends.rims, cover })
     }
     /// Scan points of a garment, thinned.
     fn seen(&self, kind: GarmentKind) -> Result<Vec<Vec3>> {
@@ -314,7 +326,7 @@ impl Standing<'_> {
     fn of_label(&self, label: Label) -> Vec<Vec3> {
         self.of.points.with_label(label).0
     }
-    fn edges(&self, kind: GarmentKind, covered: bool, skin: &[Vec3]) -> Vec<Vec3> {
+    fn ends(&self, kind: GarmentKind, covered: bool, skin: &[Vec3]) -> Ends {
         let hiding = covered.then(|| label_of(other(kind)));
         let grid = NearestGrid::from_points(&self.posed.vertices);
         let at_rest = |p: &Vec3| grid.nearest_point(p).map(|(v, _)| skin[v as usize]);
@@ -323,117 +335,13 @@ impl Standing<'_> {
             (Some(a), Some(b)) => (a - b).norm() < SAME_PLACE,
             _ => true,
         };
-        ends(&self.mesh, &self.of.points.labels, label_of(kind), hiding, goes_on)
+        Ends::new(&self.mesh, &self.of.points.labels, label_of(kind), hiding, goes_on)
     }
-}
-
-/// Where cloth of a label ends in a scan [m]: at skin, and at the other garment unless that one hides it; also across a gap that no camera
-/// looked into, as under a collar. Other holes are no ends, nor is what only touches: the body `goes_on` from a place of cloth to one
-/// beside it.
-fn ends(
-    mesh: &TriMesh,
-    labels: &[Label],
-    own: Label,
-    hiding: Option<Label>,
-    goes_on: impl Fn(&Vec3, &Vec3) -> bool,
-) -> Vec<Vec3> {
-    let place = |v: u32| mesh.vertices[v as usize];
-    let mut lengths: Vec<f64> = mesh.faces.iter().map(|f| (place(f[1]) - place(f[0])).norm()).collect();
-    lengths.sort_by(f64::total_cmp);
-    let typical = lengths.get(lengths.len() / 2).copied().unwrap_or(0.0);
-    let ends_at = |label: Label| label != own && hiding != Some(label);
-    let mut out = Vec::new();
-    for face in &mesh.faces {
-        // Each edge is met once from either of its triangles.
-        for (a, b) in [(face[0], face[1]), (face[1], face[2]), (face[2], face[0])] {
-            if labels[a as usize] == own && ends_at(labels[b as usize]) && goes_on(&place(a), &place(b)) {
-                // Labels change somewhere between; beyond a step in depth cloth goes no farther than elsewhere.
-                let way = place(b) - place(a);
-                out.push(place(a) + way * (0.5 * (typical / way.norm().max(1e-12)).min(1.0)));
-            }
-        }
-    }
-    let sure = NearestGrid::from_points(&out);
-    let loops = boundary_loops(&mesh.faces);
-    let rim: Vec<u32> = loops.iter().flatten().copied().collect();
-    // Along the rim, from the vertex before to the one after.
-    let mut along: BTreeMap<u32, Vec3> = BTreeMap::new();
-    for ring in &loops {
-        for (i, &v) in ring.iter().enumerate() {
-            let [before, after] = [i + ring.len() - 1, i + 1].map(|at| place(ring[at % ring.len()]));
-            along.insert(v, (after - before).try_normalize(0.0).unwrap_or_else(Vec3::zeros));
-        }
-    }
-    let own_rim: Vec<u32> = rim.iter().copied().filter(|v| labels[*v as usize] == own).collect();
-    let nearest = NearestGrid::from_points(&own_rim.iter().map(|&v| place(v)).collect::<Vec<_>>());
-    let gap = GAP * typical;
-    // From the other side of the gap: the rim of a hole that lies across an end goes on into the cloth.
-    let mut met: Vec<u32> = Vec::new();
-    for &v in rim.iter().filter(|v| ends_at(labels[**v as usize])) {
-        let Some((near, square)) = nearest.nearest_point(&place(v)) else { continue };
-        let near = own_rim[near as usize];
-        if square < gap * gap && goes_on(&place(near), &place(v)) {
-            met.push(near);
-        }
-    }
-    met.sort_unstable();
-    met.dedup();
-    // Where cloth can be followed to its end, a rim beside that is the bottom of a gap that cameras look into.
-    met.retain(|&v| sure.nearest_within(&place(v).into(), BESIDE * BESIDE).is_none());
-    let neighbours = Adjacency::new(mesh.vertices.len(), &mesh.faces);
-    let own_of = |v: u32| neighbours.of(v as usize).iter().copied().filter(|&n| labels[n as usize] == own);
-    out.extend(met.into_iter().map(|v| {
-        // The last vertex that is seen is half an edge inside on average.
-        let ring: Vec<Vec3> = own_of(v).flat_map(own_of).filter(|&n| n != v).map(place).collect();
-        let inside = ring.iter().sum::<Vec3>() / ring.len().max(1) as f64;
-        let way = place(v) - inside;
-        let along = along.get(&v).copied().unwrap_or_else(Vec3::zeros);
-        let outward = (way - along * along.dot(&way)).try_normalize(1e-9).unwrap_or_else(Vec3::zeros);
-        place(v) + outward * (if ring.is_empty() { 0.0 } else { 0.5 * typical })
-    }));
-    out
 }
 
 fn other(kind: GarmentKind) -> GarmentKind {
     match kind {
         GarmentKind::Upper => GarmentKind::Lower,
         GarmentKind::Lower => GarmentKind::Upper,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn cloth_ends_at_skin_and_across_gaps_and_not_at_holes() {
-        // A sheet of 1 cm squares: cloth up to x = 0.1, skin from there on.
-        let square = |i: u32| [[i, i + 1, i + 21], [i + 1, i + 22, i + 21]];
-        let sheet = |keep: &dyn Fn(u32) -> bool| TriMesh {
-            vertices: (0..441).map(|i| Vec3::new(f64::from(i % 21), f64::from(i / 21), 0.0) * 0.01).collect(),
-            faces: (0..420).filter(|i| i % 21 < 20 && keep(*i)).flat_map(square).collect(),
-        };
-        let label = |i: usize| if i % 21 <= 10 { Label::Upper } else { Label::Body };
-        let labels: Vec<Label> = (0..441).map(label).collect();
-        let anywhere = |_: &Vec3, _: &Vec3| true;
-        let whole = ends(&sheet(&|_| true), &labels, Label::Upper, None, anywhere);
-        // Half an edge beyond the cloth; its own last vertex at the sheet's rim.
-        assert!(whole.len() > 21 && whole.iter().all(|p| p.x > 0.0999 && p.x < 0.11), "{whole:?}");
-        assert!(ends(&sheet(&|_| true), &labels, Label::Upper, Some(Label::Body), anywhere).is_empty());
-        // Something that only touches the cloth along half of that.
-        let touching = ends(&sheet(&|_| true), &labels, Label::Upper, None, |a, _| a.y > 0.1);
-        assert!(touching.len() > 9 && touching.iter().all(|p| p.y > 0.09), "{touching:?}");
-        // A gap of two squares beside the cloth, and a hole in the middle of it.
-        let torn = sheet(&|i| !(10..12).contains(&(i % 21)) && (i % 21, i / 21) != (4, 9));
-        let across = ends(&torn, &labels, Label::Upper, None, anywhere);
-        assert!(across.len() >= 20, "{across:?}");
-        // Half an edge beyond the last vertex; at the sheet's corners it leans.
-        let inner = across.iter().filter(|p| p.y > 0.005 && p.y < 0.195);
-        assert!(inner.clone().count() >= 19 && inner.clone().all(|p| (p.x - 0.105).abs() < 1e-9), "{across:?}");
-        // The gap is closed along a part: around there the closed part says where the cloth ends.
-        let partly = sheet(&|i| !(10..12).contains(&(i % 21)) || i / 21 < 8);
-        let both = ends(&partly, &labels, Label::Upper, None, anywhere);
-        let at_gap: Vec<&Vec3> = both.iter().filter(|p| p.y > 0.081).collect();
-        assert!(at_gap.len() > 5 && at_gap.iter().all(|p| p.y > 0.08 + BESIDE - 0.011), "{at_gap:?}");
     }
 }

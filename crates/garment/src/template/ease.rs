@@ -3,10 +3,12 @@
 //! A style has one ease for all of a garment, one shape of neckline, and it is cut on a body that is itself millimetres off under cloth.
 //! What is left between the worn template and the scans, averaged over a wide neighbourhood and several poses so that folds cancel, is how
 //! much wider the garment is there: it moves along its normals by that. How far the scans' edges lie beyond its own is how much longer it
-//! is there: its edges, and less so the cloth beside them, move along the surface. Differs from the paper, whose template is a style's.
+//! is there: its edges, and less so the cloth beside them, move along the surface. At last each edge gets the girth that scans show of it.
+//! Differs from the paper, whose template is a style's.
 
 use super::refine::{Boundary, OTHERS, OTHERS_M, Patches, Refinement, Seen, WornAs, median, passed_over};
 use super::response::{cost_of, near_cost_of};
+use super::rim::{girths, grown};
 use super::shape::smooth_step;
 use super::{Tailor, Template, grain};
 use caphy_core::query::NearestSurface;
@@ -26,10 +28,17 @@ const MOVES: f64 = 0.06;
 const STILL: f64 = 4.0;
 /// Most rounds: worn again, cloth answers less than it was moved where it folds.
 const ROUNDS: usize = 4;
-/// Share of the cost of what is near that a round has to take away: the same garment in other folds differs by a few hundredths.
-const WORTH_IT: f64 = 0.1;
+/// Share of the cost of what is near that a change of width has to take away where one scan says all: the same garment in other folds
+/// differs by less. Folds of several scans are other ones each time.
+const WORTH_IT: f64 = 0.17;
+/// After a round that takes away less than this share there is no other.
+const LITTLE: f64 = 0.01;
+/// What one scan says beyond so many times the typical deviation counts less, which is no less than this [m]: a fold, a hand.
+const APART: f64 = 2.0;
+const TYPICAL: f64 = 1e-3;
 
-/// Moves a finished template towards scans; `wear` as of [`super::finish`]. Given garments keep their own shape.
+/// Moves a finished template towards scans, those that it was finished with and more after them; `wear` as of [`super::finish`]. Given
+/// garments keep their own shape.
 ///
 /// # Errors
 /// Those of `wear`.
@@ -37,9 +46,14 @@ pub fn ease(
     tailor: &Tailor,
     finished: Refinement,
     seen: &[Seen<'_>],
-    wear: impl Fn(&Template, usize, Option<WornAs<'_>>) -> Result<Vec<Vec3>> + Sync,
+    wear: impl Fn(&Template, usize, WornAs<'_>) -> Result<Vec<Vec3>> + Sync,
 ) -> Result<Refinement> {
     let mut now = finished;
+    let more = (now.worn.len()..seen.len())
+        .into_par_iter()
+        .map(|scan| wear(&now.template, scan, WornAs { template: &now.template, vertices: &now.worn[0], scan: 0 }));
+    let more = more.collect::<Result<Vec<_>>>()?;
+    now.worn.extend(more);
     if now.template.given.is_some() {
         return Ok(now);
     }
@@ -48,44 +62,91 @@ pub fn ease(
         let each = patches.iter().zip(seen).zip(worn).map(|((p, s), w)| p.residuals(s, w, faces));
         Ok(each.collect::<Result<Vec<_>>>()?.concat())
     };
+    // `None` for moves that cannot be worn.
+    let moved = |now: &Refinement, moves: &[Vec3]| -> Result<Option<Moved>> {
+        let template = tailor.moved(&now.template, moves);
+        let all = now.worn.par_iter().enumerate();
+        let like = |(scan, vertices): (usize, &Vec<Vec3>)| {
+            wear(&template, scan, WornAs { template: &now.template, vertices, scan })
+        };
+        let Some(worn) = passed_over(all.map(like).collect::<Result<Vec<_>>>())? else { return Ok(None) };
+        let residuals = residuals(&worn, &template.mesh.faces)?;
+        Ok(Some(Moved { template, worn, residuals }))
+    };
     let start = residuals(&now.worn, &now.template.mesh.faces)?;
     let (mut cost, mut near) = (cost_of(&start, OTHERS), near_cost_of(&start, OTHERS));
+    let worth_it = WORTH_IT / (seen.len().max(1) as f64).sqrt();
+    let mut widths = true;
     for _ in 0..ROUNDS {
-        let template = tailor.moved(&now.template, &moves(&now.template, &now.worn, seen)?);
-        let like = |vertices| Some(WornAs { template: &now.template, vertices });
-        let worn = now.worn.par_iter().enumerate().map(|(scan, worn)| wear(&template, scan, like(worn)));
-        let worn = worn.collect::<Result<Vec<_>>>();
-        let Some(worn) = passed_over(worn)? else { break };
-        let residuals = residuals(&worn, &template.mesh.faces)?;
-        let reached = cost_of(&residuals, OTHERS);
-        if reached > cost - WORTH_IT * near {
+        let Moves { across, along } = Moves::new(&now.template, &now.worn, seen)?;
+        let cheaper = |by: f64| move |m: &Moved| cost_of(&m.residuals, OTHERS) < cost - by;
+        let mut to = None;
+        if widths {
+            // Folds make cloth look wider or narrower: that has to pay.
+            let both: Vec<Vec3> = across.iter().zip(&along).map(|(a, b)| a + b).collect();
+            to = moved(&now, &both)?.filter(cheaper(worth_it * near));
+            widths = to.is_some();
+        }
+        if to.is_none() {
+            // They hardly move an edge.
+            to = moved(&now, &along)?.filter(cheaper(0.0));
+        }
+        let Some(to) = to else { break };
+        let gained = cost - cost_of(&to.residuals, OTHERS);
+        let little = gained < LITTLE * near;
+        (cost, near) = (cost - gained, near_cost_of(&to.residuals, OTHERS));
+        now.replace(&patches, to.template, to.worn, &to.residuals);
+        if little {
             break;
         }
-        (cost, near) = (reached, near_cost_of(&residuals, OTHERS));
-        now.replace(&patches, template, worn, &residuals);
+    }
+    let factors = girths(&now.template, &now.worn, seen);
+    if factors.iter().any(|f| *f != 1.0)
+        && let Some(to) = moved(&now, &grown(&now.template, &factors))?
+    {
+        now.replace(&patches, to.template, to.worn, &to.residuals);
     }
     Ok(now)
 }
 
-/// Where the vertices of a template go [m]: along normals as [`offsets`] say, and along the surface with its edges.
-fn moves(template: &Template, worn: &[Vec<Vec3>], seen: &[Seen<'_>]) -> Result<Vec<Vec3>> {
-    let normals = template.mesh.vertex_normals();
-    let edges = edge_moves(template, worn, seen);
-    let along = |p: &Vec3, normal: &Vec3| {
-        let (mut sum, mut weight, mut nearest) = (Vec3::zeros(), 0.0, f64::INFINITY);
-        for (at, shift) in &edges {
-            let square = (p - at).norm_squared();
-            nearest = nearest.min(square);
-            let w = (-0.5 * square / (EDGE * EDGE)).exp();
-            sum += shift * w;
-            weight += w;
-        }
-        let moved = sum * (1.0 - smooth_step(0.0, MOVES, nearest.sqrt())) / f64::max(weight, f64::MIN_POSITIVE);
-        moved - normal * normal.dot(&moved)
-    };
-    let offsets = offsets(template, worn, seen)?;
-    let rows = template.mesh.vertices.par_iter().zip(&normals).zip(offsets);
-    Ok(rows.map(|((p, n), d)| n * d + along(p, n)).collect())
+/// A template that was moved, as it is worn in each scan [m], and how scans differ from it.
+struct Moved {
+    template: Template,
+    worn: Vec<Vec<Vec3>>,
+    residuals: Vec<f64>,
+}
+
+/// Where the vertices of a template go [m].
+struct Moves {
+    /// Along normals, as [`offsets`] say.
+    across: Vec<Vec3>,
+    /// Along the surface, with its edges.
+    along: Vec<Vec3>,
+}
+
+impl Moves {
+    fn new(template: &Template, worn: &[Vec<Vec3>], seen: &[Seen<'_>]) -> Result<Self> {
+        let normals = template.mesh.vertex_normals();
+        let edges = edge_moves(template, worn, seen);
+        let with_edges = |p: &Vec3, normal: &Vec3| {
+            let (mut sum, mut weight, mut nearest) = (Vec3::zeros(), 0.0, f64::INFINITY);
+            for (at, shift) in &edges {
+                let square = (p - at).norm_squared();
+                nearest = nearest.min(square);
+                let w = (-0.5 * square / (EDGE * EDGE)).exp();
+                sum += shift * w;
+                weight += w;
+            }
+            let moved = sum * (1.0 - smooth_step(0.0, MOVES, nearest.sqrt())) / f64::max(weight, f64::MIN_POSITIVE);
+            moved - normal * normal.dot(&moved)
+        };
+        let vertices = template.mesh.vertices.par_iter().zip(&normals);
+        let offsets = offsets(template, worn, seen)?;
+        Ok(Self {
+            across: normals.iter().zip(offsets).map(|(n, d)| n * d).collect(),
+            along: vertices.map(|(p, n)| with_edges(p, n)).collect(),
+        })
+    }
 }
 
 /// Middles of a template's edges, and how far along the surface the scans have them [m].
@@ -127,15 +188,39 @@ struct Said {
 }
 
 /// What scans say together: their mean, as far as they agree. Folds lie elsewhere in each scan; what a garment is too narrow by shows in
-/// all. (Of the mean m with its variance v the share m²/(m² + v), which is the mean's best scale where m is the truth.)
+/// all. (Of the mean m with its variance v the share m²/(m² + v), which is the mean's best scale where m is the truth; what lies apart from
+/// the median weighs less, as Huber has it.)
 fn agreed(said: &[Said]) -> f64 {
     let heard: f64 = said.iter().map(|s| s.weight).sum();
-    let mean = said.iter().map(|s| s.weight * s.value).sum::<f64>() / heard.max(f64::MIN_POSITIVE);
-    let spread: f64 = said.iter().map(|s| s.weight * (s.value - mean).powi(2)).sum();
-    let variance = if heard > 1.0 { spread / (heard * (heard - 1.0)) } else { 0.0 };
-    // Scans that see little say little, even together.
     let trust = heard / said.len().max(1) as f64;
+    let middle = median_of(said, |s| s.value);
+    let typical = median_of(said, |s| (s.value - middle).abs()).max(TYPICAL);
+    let weight = |s: &Said| s.weight * (APART * typical / (s.value - middle).abs().max(f64::MIN_POSITIVE)).min(1.0);
+    let counted: f64 = said.iter().map(weight).sum();
+    let mean = said.iter().map(|s| weight(s) * s.value).sum::<f64>() / counted.max(f64::MIN_POSITIVE);
+    let spread: f64 = said.iter().map(|s| weight(s) * (s.value - mean).powi(2)).sum();
+    let variance = if counted > 1.0 { spread / (counted * (counted - 1.0)) } else { 0.0 };
+    // Scans that see little say little, even together.
     trust * mean * mean * mean / (mean * mean + variance).max(f64::MIN_POSITIVE)
+}
+
+/// The weighted median of something about what scans say; 0 without weight.
+fn median_of(said: &[Said], of: impl Fn(&Said) -> f64) -> f64 {
+    let mut all: Vec<(f64, f64)> = said.iter().map(|s| (of(s), s.weight)).collect();
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * all.iter().map(|a| a.1).sum::<f64>();
+    let mut so_far = 0.0;
+    for (k, (value, weight)) in all.iter().enumerate() {
+        so_far += weight;
+        if so_far > half {
+            return *value;
+        }
+        if so_far == half && half > 0.0 {
+            // Between two halves.
+            return all.get(k + 1).map_or(*value, |next| 0.5 * (value + next.0));
+        }
+    }
+    0.0
 }
 
 /// How far scans lie outside of a worn template around each of its vertices [m].
@@ -196,8 +281,14 @@ mod tests {
             |values: &[f64]| agreed(&values.iter().map(|&value| Said { value, weight: 1.0 }).collect::<Vec<_>>());
         assert!((said(&[0.004; 3]) - 0.004).abs() < 1e-12);
         assert!((said(&[0.004]) - 0.004).abs() < 1e-12, "one scan is all there is");
-        // A fold in one of three scans: the mean, 3 mm, with a variance of (3 mm)², by half.
-        assert!((said(&[0.009, 0.0, 0.0]) - 0.0015).abs() < 1e-9);
+        // Four scans of five differ by 1 mm from the middle: all count, m = 5 mm, v = 4/(5 · 4) mm².
+        let spread = [0.004, 0.005, 0.006, 0.004, 0.006];
+        assert!((said(&spread) - 0.005 * 25.0 / (25.0 + 4.0 / 20.0)).abs() < 1e-9, "{}", said(&spread));
+        // A fold in one of three scans counts by 2/9: m = 2/2.2222 mm, v = (2/9 · 8.1² + 2 · 0.9²)/(2.2222 · 1.2222) mm².
+        let (weight, m): (f64, f64) = (2.0 / 9.0, 0.9);
+        let v = (weight * (9.0 - m).powi(2) + 2.0 * m * m) / ((2.0 + weight) * (1.0 + weight));
+        let fold = said(&[0.009, 0.0, 0.0]);
+        assert!((fold - 1e-3 * m * m * m / (m * m + v)).abs() < 1e-9 && fold < 2e-4, "{fold}");
         assert!(said(&[0.006, -0.006, 0.0]).abs() < 1e-12 && said(&[]) == 0.0 && said(&[0.0; 3]) == 0.0);
         // A scan that sees little says little.
         let half = agreed(&[Said { value: 0.004, weight: 1.0 }, Said { value: 0.0, weight: 0.0 }]);

@@ -17,6 +17,7 @@ mod refine;
 mod remesh;
 mod response;
 mod rest;
+mod rim;
 mod sections;
 mod shape;
 mod source;
@@ -29,6 +30,7 @@ pub use facts::{GarmentFacts, GarmentMeasures, LengthFacts, LoopFacts, MeasureEr
 pub use given::{FitOptions, GivenFacts, GivenMesh, LayoutFacts, PenetrationFacts, PenetrationOptions, Repairs};
 pub use refine::{Refinement, Seen, Worn, WornAs, finish, refine};
 pub use rest::BodyRest;
+pub use rim::Rim;
 pub use source::{
     TemplateFolder, TemplateLinear, TemplateMesh, TemplateParametric, TemplateSource, TemplateSpec, read_garment,
     templates,

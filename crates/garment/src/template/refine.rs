@@ -9,6 +9,7 @@
 //! Differs from the paper: it takes the sample as it is.
 
 use super::response::{ANSWERS, DIFFERENCE, Far, MIDDLE, Response, Tried, cost};
+use super::rim::Rim;
 use super::source::TemplateSource;
 use super::{Style, Tailor, Template};
 use caphy_core::query::{NearestGrid, NearestSurface, boundary_loops, nearest_on_triangle};
@@ -37,8 +38,9 @@ const STEPS: usize = 8;
 const WORTH_IT: f64 = 0.2;
 /// Steps in a row without a better garment, after which there is none.
 const PATIENCE: usize = 2;
-/// Most steps of templates as fine as wanted, each many times slower.
+/// Most steps of templates as fine as wanted, each many times slower, and the share of the cost that one must promise to gain.
 const FINE_STEPS: usize = 3;
+const FINE_WORTH_IT: f64 = 0.01;
 /// Shares of a step that are tried at the same time.
 const SHARES: [f64; 2] = [1.0, 0.4];
 
@@ -49,6 +51,8 @@ pub struct Seen<'a> {
     pub points: &'a [Vec3],
     /// Points where it ends [m]; none where that is not known.
     pub edges: &'a [Vec3],
+    /// Its edges in pieces, each along an edge; none where that is not known.
+    pub rims: &'a [Rim],
     /// Points of what is worn over it [m]: what lies nearer to them than to its own points is hidden.
     pub covered_by: &'a [Vec3],
 }
@@ -62,13 +66,15 @@ pub struct Worn {
     pub vertices: Vec<Vec3>,
 }
 
-/// Another template as it is worn in the same pose: where the next one starts from ([`hung_like`](super::hung_like)).
+/// Another template as it is worn in the same pose, or in another scan's: where the next one starts from ([`hung_like`](super::hung_like)).
 #[derive(Debug, Clone, Copy)]
 pub struct WornAs<'a> {
     /// The template.
     pub template: &'a Template,
     /// Its vertices in the pose [m].
     pub vertices: &'a [Vec3],
+    /// Number of the scan whose pose it is.
+    pub scan: usize,
 }
 
 /// Outcome of [`refine`], [`finish`] and [`ease`](super::ease).
@@ -91,14 +97,16 @@ pub struct Refinement {
 /// A style as it is worn, and how scans differ from it.
 struct Trial {
     template: Template,
-    /// In the pose of each scan [m].
+    /// In the pose of each scan [m], from the one of this number on.
     worn: Vec<Vec<Vec3>>,
+    first: usize,
     /// Distances over sigma: of each scan patches of points, then of edges.
     residuals: Vec<f64>,
 }
 
 /// Improves a style by Gauss-Newton steps. `wear` takes a template to the scan's pose, as `start` was taken there, whose edges are about
-/// `resolution_m` long [m]; it is told how one of a style nearby is worn. A source without anything between its garments gives the start back: nothing is worn again.
+/// `resolution_m` long [m]; it is told how one of a style nearby is worn there. A source without anything between its garments gives the
+/// start back: nothing is worn again.
 ///
 /// # Errors
 /// Those of [`TemplateSource::template`] and of `wear` (styles that no garment can be made of, or worn, are passed over);
@@ -109,7 +117,7 @@ pub fn refine(
     start: Worn,
     resolution_m: f64,
     seen: Seen<'_>,
-    wear: impl Fn(&Template, Option<WornAs<'_>>) -> Result<Vec<Vec3>> + Sync,
+    wear: impl Fn(&Template, WornAs<'_>) -> Result<Vec<Vec3>> + Sync,
 ) -> Result<Refinement> {
     for (what, list) in [("scan points of a garment", seen.points), ("edges of a scanned garment", seen.edges)] {
         let flat: Vec<f64> = list.iter().flat_map(|p| p.iter().copied()).collect();
@@ -124,14 +132,14 @@ pub fn refine(
         let template = source.template(tailor, style, resolution_m)?;
         let worn = wear(&template, like.worn_in(0))?;
         let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
-        Ok(Trial { template, worn: vec![worn], residuals })
+        Ok(Trial { template, worn: vec![worn], first: 0, residuals })
     };
     let Worn { template, vertices: worn } = start;
     let start = &template.style.clone();
     let mut u = source.coordinates(start);
     let axes = u.len();
     let residuals = patches.residuals(&seen, &worn, &template.mesh.faces)?;
-    let mut now = Trial { template, worn: vec![worn], residuals };
+    let mut now = Trial { template, worn: vec![worn], first: 0, residuals };
     let mut evaluations = 0;
     // Garments a difference away along some axes; `None` where none can be made.
     let around = |u: &[f64], now: &Trial, axes: &[usize], outward: bool| -> Result<Vec<Option<(Vec<f64>, Trial)>>> {
@@ -207,9 +215,10 @@ pub fn refine(
 }
 
 /// Takes a refined style to templates with edges of about `to_m` [m], and to more scans: `seen` begins with the scan that it was refined with
-/// at `from_m`, `wear` takes a template to the pose of the scan of a number. Coarse cloth does not fold where finer cloth does and keeps
-/// farther from the skin: the same scan is that of a wider garment of finer triangles. How a step changes the residuals is known from
-/// coarse garments; the residuals are those of the fine ones. The folds of several scans are other ones each time.
+/// at `from_m`, `wear` takes a template to the pose of the scan of a number, told how one of a style nearby is worn in it or in another.
+/// Coarse cloth does not fold where finer cloth does and keeps farther from the skin: the same scan is that of a wider garment of finer
+/// triangles. How a step changes the residuals is known from coarse garments; the residuals are those of the fine ones. The folds of
+/// several scans are other ones each time.
 ///
 /// # Errors
 /// Those of [`refine`].
@@ -219,30 +228,30 @@ pub fn finish(
     refined: &Refinement,
     [from_m, to_m]: [f64; 2],
     seen: &[Seen<'_>],
-    wear: impl Fn(&Template, usize, Option<WornAs<'_>>) -> Result<Vec<Vec3>> + Sync,
+    wear: impl Fn(&Template, usize, WornAs<'_>) -> Result<Vec<Vec3>> + Sync,
 ) -> Result<Refinement> {
     let patches: Vec<Patches> = seen.iter().map(Patches::new).collect();
-    // `like` is worn in all scans from the first of `scans` on.
-    let attempt = |style: &Style, resolution_m: f64, scans: Range<usize>, like: Option<&Trial>| -> Result<Trial> {
+    let attempt = |style: &Style, resolution_m: f64, scans: Range<usize>, like: &Trial| -> Result<Trial> {
         let template = source.template(tailor, style, resolution_m)?;
         let first = scans.start;
         let one = |scan: usize| {
-            let worn = wear(&template, scan, like.and_then(|l| l.worn_in(scan - first)))?;
+            let worn = wear(&template, scan, like.worn_in(scan))?;
             let residuals = patches[scan].residuals(&seen[scan], &worn, &template.mesh.faces)?;
             Ok((worn, residuals))
         };
         let all: Vec<(Vec<Vec3>, Vec<f64>)> = scans.into_par_iter().map(one).collect::<Result<_>>()?;
         let (worn, residuals): (Vec<_>, Vec<_>) = all.into_iter().unzip();
-        Ok(Trial { template, worn, residuals: residuals.concat() })
+        Ok(Trial { template, worn, first, residuals: residuals.concat() })
     };
     let start = &refined.style;
     let mut u = source.coordinates(start);
     let mut evaluations = 0;
     let mut slopes = refined.slopes.clone();
-    let mut coarse = Trial { template: refined.template.clone(), worn: refined.worn.clone(), residuals: Vec::new() };
+    let mut coarse =
+        Trial { template: refined.template.clone(), worn: refined.worn.clone(), first: 0, residuals: Vec::new() };
     if slopes.iter().any(|s| *s != 0.0) && seen.len() > 1 {
         let more = 1..seen.len();
-        let here = attempt(start, from_m, more.clone(), None)?;
+        let here = attempt(start, from_m, more.clone(), &coarse)?;
         let beside = (0..u.len())
             .into_par_iter()
             .map(|axis| {
@@ -250,7 +259,7 @@ pub fn finish(
                     return Ok(None);
                 }
                 let to = beside(&u, axis, false);
-                let trial = source.at(start, &to).and_then(|s| attempt(&s, from_m, more.clone(), Some(&here)));
+                let trial = source.at(start, &to).and_then(|s| attempt(&s, from_m, more.clone(), &here));
                 Ok(passed_over(trial)?.map(|t| (to, t)))
             })
             .collect::<Result<Vec<_>>>()?;
@@ -261,21 +270,21 @@ pub fn finish(
         });
         coarse.worn.extend(here.worn);
     }
-    let mut now = attempt(start, to_m, 0..seen.len(), Some(&coarse))?;
+    let mut now = attempt(start, to_m, 0..seen.len(), &coarse)?;
     evaluations += 1;
     Error::check_length("residuals of a refined template", slopes.nrows(), now.residuals.len())?;
     for _ in 0..FINE_STEPS {
         let model = Response { residuals: now.residuals.clone(), slopes };
         let (step, gain) = model.step(&u, OTHERS)?;
         slopes = model.slopes;
-        if gain < WORTH_IT {
+        if gain < FINE_WORTH_IT * cost(&u, &now.residuals, OTHERS) {
             break;
         }
         let mut better = false;
         for share in SHARES {
             let to: Vec<f64> = u.iter().zip(step.iter()).map(|(u, s)| u + share * s).collect();
             evaluations += 1;
-            let trial = source.at(start, &to).and_then(|s| attempt(&s, to_m, 0..seen.len(), Some(&now)));
+            let trial = source.at(start, &to).and_then(|s| attempt(&s, to_m, 0..seen.len(), &now));
             let cheaper = |t: &Trial| cost(&to, &t.residuals, OTHERS) < cost(&u, &now.residuals, OTHERS);
             if let Some(trial) = passed_over(trial)?.filter(cheaper) {
                 (u, now, better) = (to, trial, true);
@@ -290,8 +299,10 @@ pub fn finish(
 }
 
 impl Trial {
-    fn worn_in(&self, scan: usize) -> Option<WornAs<'_>> {
-        self.worn.get(scan).map(|vertices| WornAs { template: &self.template, vertices })
+    /// As it is worn in a scan; in another one where it was not put on in that.
+    fn worn_in(&self, scan: usize) -> WornAs<'_> {
+        let at = scan.checked_sub(self.first).filter(|k| *k < self.worn.len()).unwrap_or(0);
+        WornAs { template: &self.template, vertices: &self.worn[at], scan: self.first + at }
     }
     fn as_tried(&self, u: &[f64]) -> Tried {
         Tried { u: u.to_vec(), residuals: self.residuals.clone() }
@@ -500,7 +511,12 @@ mod tests {
         assert!((boundary.beyond(&Vec3::new(2.25, 0.5, 0.1)) - 0.25).abs() < 1e-12);
         assert!((boundary.beyond(&Vec3::new(1.9, 0.5, -0.1)) + 0.1).abs() < 1e-12);
         assert!((boundary.beyond(&Vec3::new(0.5, 1.25, 0.0)) - 0.25).abs() < 1e-12);
-        let seen = Seen { points: &[Vec3::new(0.5, 0.5, 0.01)], edges: &[Vec3::new(2.02, 0.5, 0.0)], covered_by: &[] };
+        let seen = Seen {
+            points: &[Vec3::new(0.5, 0.5, 0.01)],
+            edges: &[Vec3::new(2.02, 0.5, 0.0)],
+            rims: &[],
+            covered_by: &[],
+        };
         let r = Patches::new(&seen).residuals(&seen, &vertices, &faces).unwrap();
         assert!((r[0].abs() - 0.01 / SIGMA).abs() < 1e-9 && (r[1] - 0.02 / EDGE_SIGMA).abs() < 1e-9, "{r:?}");
     }

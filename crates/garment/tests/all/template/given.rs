@@ -7,7 +7,7 @@ use caphy_core::{Error, Result, TriMesh, Vec3};
 use caphy_formats::obj::write_obj;
 use caphy_garment::template::{
     BodyRest, ChooseOptions, FitOptions, GarmentKind, GivenMesh, Seen, Style, Tailor, Template, TemplateSpec, Worn,
-    WornAs, choose_template, finish, read_garment, refine, templates,
+    WornAs, choose_template, ease, finish, read_garment, refine, templates,
 };
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -353,15 +353,18 @@ fn a_folder_offers_the_garments_of_a_kind_and_a_scan_chooses() {
     let scan = cut(&styles[0], 0.02).mesh.vertices;
     let choice = choose_template(&posed, &scan, &ChooseOptions::default()).unwrap();
     assert_eq!(name(&uppers[choice.index]), "short");
-    let seen = Seen { points: &scan, edges: &[], covered_by: &[] };
+    let seen = Seen { points: &scan, edges: &[], rims: &[], covered_by: &[] };
     // Nothing lies between garments of a folder: refinement gives the choice back, and wears nothing.
-    let again = |_: &Template, _: Option<WornAs<'_>>| -> Result<Vec<Vec3>> { panic!("worn again") };
+    let again = |_: &Template, _: WornAs<'_>| -> Result<Vec<Vec3>> { panic!("worn again") };
     let start = Worn { template: candidates[1].clone(), vertices: posed[1].clone() };
     let refined = refine(&*source, tailor(), start, 0.03, seen, again).unwrap();
     assert_eq!((&refined.style, &refined.worn[0], refined.evaluations), (&uppers[1], &posed[1], 0));
-    let vertices = |t: &Template, _: usize, _: Option<WornAs<'_>>| Ok(t.mesh.vertices.clone());
+    let vertices = |t: &Template, _: usize, _: WornAs<'_>| Ok(t.mesh.vertices.clone());
     let finished = finish(&*source, tailor(), &refined, [0.03; 2], &[seen], vertices).unwrap();
     assert_eq!((&finished.style, finished.evaluations), (&uppers[1], 1));
+    // It keeps its shape, and is put on in all scans: another garment is worn over it.
+    let eased = ease(tailor(), finished.clone(), &[seen, seen], vertices).unwrap();
+    assert_eq!((&eased.template, eased.worn.len()), (&finished.template, 2));
     assert!(source.template(tailor(), &styles[0], 0.03).is_err());
     // The style goes into artifacts and comes back.
     let text = serde_json::to_string(&refined.style).unwrap();
@@ -463,8 +466,8 @@ fn a_linear_space_makes_garments_from_coefficients() {
     let scan = scanned.mesh.subdivided().vertices;
     let edges: Vec<Vec3> =
         scanned.loops.iter().flat_map(|l| &l.vertices).map(|&v| scanned.mesh.vertices[v as usize]).collect();
-    let vertices = |t: &Template, _: Option<WornAs<'_>>| Ok(t.mesh.vertices.clone());
-    let seen = Seen { points: &scan, edges: &edges, covered_by: &[] };
+    let vertices = |t: &Template, _: WornAs<'_>| Ok(t.mesh.vertices.clone());
+    let seen = Seen { points: &scan, edges: &edges, rims: &[], covered_by: &[] };
     let template = source.template(tailor(), &styles[0], 0.03).unwrap();
     let start = Worn { vertices: template.mesh.vertices.clone(), template };
     let found = refine(&*source, tailor(), start, 0.03, seen, vertices).unwrap();

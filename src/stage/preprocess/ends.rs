@@ -1,0 +1,261 @@
+//! Where cloth ends in a labelled scan.
+
+use caphy_core::query::{Adjacency, NearestGrid, boundary_loops};
+use caphy_core::scan::Label;
+use caphy_core::{TriMesh, Vec3};
+use caphy_garment::template::Rim;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Widest gap of a scan between cloth and where it ends, in its edges, and how far from ends without a gap ends at a gap are [m].
+const GAP: f64 = 4.0;
+const BESIDE: f64 = 0.04;
+/// Times that a vertex's share of cloth is averaged with its neighbours': a border of labels zigzags by half an edge.
+const ROUNDS: usize = 2;
+/// Edges longer than this many typical ones go across a step in depth; diagonals of squares do not.
+const STEP: f64 = 1.5;
+
+/// The ends of one garment.
+pub(super) struct Ends {
+    /// Where its label meets others, in pieces.
+    pub(super) rims: Vec<Rim>,
+    /// Where it lies across a gap from others [m].
+    gaps: Vec<Vec3>,
+}
+
+impl Ends {
+    /// Where cloth of a label ends in a scan: at skin, and at the other garment unless that one hides it; also across a gap that no camera
+    /// looked into, as under a collar. Other holes are no ends, nor is what only touches: the body `goes_on` from a place of cloth to one
+    /// beside it.
+    pub(super) fn new(
+        mesh: &TriMesh,
+        labels: &[Label],
+        own: Label,
+        hiding: Option<Label>,
+        goes_on: impl Fn(&Vec3, &Vec3) -> bool,
+    ) -> Self {
+        let place = |v: u32| mesh.vertices[v as usize];
+        let mut lengths: Vec<f64> = mesh.faces.iter().map(|f| (place(f[1]) - place(f[0])).norm()).collect();
+        lengths.sort_by(f64::total_cmp);
+        let typical = lengths.get(lengths.len() / 2).copied().unwrap_or(0.0);
+        let scan = Labelled {
+            mesh,
+            labels,
+            own,
+            hiding,
+            typical,
+            neighbours: Adjacency::new(mesh.vertices.len(), &mesh.faces),
+        };
+        let rims = scan.rims(&goes_on);
+        let sure: Vec<Vec3> = rims.iter().flat_map(|r| r.points.iter().copied()).collect();
+        let gaps = scan.gaps(&goes_on, &sure);
+        Self { rims, gaps }
+    }
+    /// All of them, as points [m].
+    pub(super) fn points(&self) -> Vec<Vec3> {
+        self.rims.iter().flat_map(|r| &r.points).chain(&self.gaps).copied().collect()
+    }
+}
+
+/// A scan, and whose ends are looked for.
+struct Labelled<'a> {
+    mesh: &'a TriMesh,
+    labels: &'a [Label],
+    own: Label,
+    hiding: Option<Label>,
+    /// Median edge [m].
+    typical: f64,
+    neighbours: Adjacency,
+}
+
+/// An edge of the mesh, its lower vertex first.
+type Edge = [u32; 2];
+
+impl Labelled<'_> {
+    fn place(&self, v: u32) -> Vec3 {
+        self.mesh.vertices[v as usize]
+    }
+    fn ends_at(&self, v: u32) -> bool {
+        let label = self.labels[v as usize];
+        label != self.own && self.hiding != Some(label)
+    }
+    /// Whether a vertex beside cloth, by its smoothed share, is or lies at what cloth ends at.
+    fn beyond(&self, v: u32) -> bool {
+        let near = || self.neighbours.of(v as usize).iter().any(|&n| self.ends_at(n));
+        self.ends_at(v) || (self.labels[v as usize] == self.own && near())
+    }
+    /// Cloth counts 1, all else -1, averaged with its neighbours.
+    fn cloth(&self) -> Vec<f64> {
+        let mut share: Vec<f64> = self.labels.iter().map(|l| if *l == self.own { 1.0 } else { -1.0 }).collect();
+        for _ in 0..ROUNDS {
+            let around = |v: usize| {
+                let near = self.neighbours.of(v);
+                let sum: f64 = near.iter().map(|&n| share[n as usize]).sum();
+                if near.is_empty() { share[v] } else { 0.5 * (share[v] + sum / near.len() as f64) }
+            };
+            share = (0..share.len()).map(around).collect();
+        }
+        share
+    }
+    /// Where the label gives way to others, from triangle to triangle.
+    fn rims(&self, goes_on: &impl Fn(&Vec3, &Vec3) -> bool) -> Vec<Rim> {
+        let cloth = self.cloth();
+        let key = |a: u32, b: u32| -> Edge { [a.min(b), a.max(b)] };
+        let mut points: BTreeMap<Edge, Vec3> = BTreeMap::new();
+        for face in &self.mesh.faces {
+            for (a, b) in [(face[0], face[1]), (face[1], face[2]), (face[2], face[0])] {
+                let (a, b) = if cloth[a as usize] > 0.0 { (a, b) } else { (b, a) };
+                let [inside, outside] = [a, b].map(|v| cloth[v as usize]);
+                let (from, to) = (self.place(a), self.place(b));
+                if !(inside > 0.0 && outside <= 0.0 && self.beyond(b) && goes_on(&from, &to)) {
+                    continue;
+                }
+                // Beyond a step in depth cloth goes no farther than elsewhere.
+                let way = to - from;
+                let reach = (STEP * self.typical / way.norm().max(1e-12)).min(1.0);
+                points.insert(key(a, b), from + way * (reach * inside / (inside - outside)));
+            }
+        }
+        let mut next: BTreeMap<Edge, Vec<Edge>> = BTreeMap::new();
+        for &[a, b, c] in &self.mesh.faces {
+            let mut met = [key(a, b), key(b, c), key(c, a)].into_iter().filter(|k| points.contains_key(k));
+            if let (Some(p), Some(q)) = (met.next(), met.next()) {
+                next.entry(p).or_default().push(q);
+                next.entry(q).or_default().push(p);
+            }
+        }
+        // Open pieces from one of their ends, then what is left: closed ones.
+        let starts = next.iter().filter(|(_, n)| n.len() == 1).chain(&next).map(|(k, n)| (*k, n.len() > 1));
+        let mut done: BTreeSet<Edge> = BTreeSet::new();
+        let mut rims = Vec::new();
+        for (start, closed) in starts {
+            if !done.insert(start) {
+                continue;
+            }
+            let mut piece = vec![points[&start]];
+            let mut at = start;
+            while let Some(&on) = next.get(&at).and_then(|n| n.iter().find(|k| !done.contains(*k))) {
+                done.insert(on);
+                piece.push(points[&on]);
+                at = on;
+            }
+            rims.push(Rim { points: piece, closed });
+        }
+        rims
+    }
+    /// Ends across gaps, none beside `sure` ends: where cloth can be followed to its end, a rim beside that is the bottom of a gap that
+    /// cameras look into.
+    fn gaps(&self, goes_on: &impl Fn(&Vec3, &Vec3) -> bool, sure: &[Vec3]) -> Vec<Vec3> {
+        let place = |v: u32| self.place(v);
+        let sure = NearestGrid::from_points(sure);
+        let loops = boundary_loops(&self.mesh.faces);
+        let rim: Vec<u32> = loops.iter().flatten().copied().collect();
+        // Along the rim, from the vertex before to the one after.
+        let mut along: BTreeMap<u32, Vec3> = BTreeMap::new();
+        for ring in &loops {
+            for (i, &v) in ring.iter().enumerate() {
+                let [before, after] = [i + ring.len() - 1, i + 1].map(|at| place(ring[at % ring.len()]));
+                along.insert(v, (after - before).try_normalize(0.0).unwrap_or_else(Vec3::zeros));
+            }
+        }
+        let own_rim: Vec<u32> = rim.iter().copied().filter(|v| self.labels[*v as usize] == self.own).collect();
+        let nearest = NearestGrid::from_points(&own_rim.iter().map(|&v| place(v)).collect::<Vec<_>>());
+        let gap = GAP * self.typical;
+        // From the other side of the gap: the rim of a hole that lies across an end goes on into the cloth.
+        let mut met: Vec<u32> = Vec::new();
+        for &v in rim.iter().filter(|v| self.ends_at(**v)) {
+            let Some((near, square)) = nearest.nearest_point(&place(v)) else { continue };
+            let near = own_rim[near as usize];
+            if square < gap * gap && goes_on(&place(near), &place(v)) {
+                met.push(near);
+            }
+        }
+        met.sort_unstable();
+        met.dedup();
+        met.retain(|&v| sure.nearest_within(&place(v).into(), BESIDE * BESIDE).is_none());
+        let near = |v: u32| self.neighbours.of(v as usize).iter().copied();
+        let own_of = |v: u32| near(v).filter(|&n| self.labels[n as usize] == self.own);
+        let outside = |v: u32| {
+            // The last vertex that is seen is half an edge inside on average.
+            let ring: Vec<Vec3> = own_of(v).flat_map(own_of).filter(|&n| n != v).map(place).collect();
+            let inside = ring.iter().sum::<Vec3>() / ring.len().max(1) as f64;
+            let way = place(v) - inside;
+            let along = along.get(&v).copied().unwrap_or_else(Vec3::zeros);
+            let outward = (way - along * along.dot(&way)).try_normalize(1e-9).unwrap_or_else(Vec3::zeros);
+            place(v) + outward * (if ring.is_empty() { 0.0 } else { 0.5 * self.typical })
+        };
+        met.into_iter().map(outside).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cloth_ends_at_skin_and_across_gaps_and_not_at_holes() {
+        // A sheet of 1 cm squares: cloth up to x = 0.1, skin from there on.
+        let square = |i: u32| [[i, i + 1, i + 21], [i + 1, i + 22, i + 21]];
+        let sheet = |keep: &dyn Fn(u32) -> bool| TriMesh {
+            vertices: (0..441).map(|i| Vec3::new(f64::from(i % 21), f64::from(i / 21), 0.0) * 0.01).collect(),
+            faces: (0..420).filter(|i| i % 21 < 20 && keep(*i)).flat_map(square).collect(),
+        };
+        let label = |i: usize| if i % 21 <= 10 { Label::Upper } else { Label::Body };
+        let labels: Vec<Label> = (0..441).map(label).collect();
+        let anywhere = |_: &Vec3, _: &Vec3| true;
+        let points = |mesh: &TriMesh, labels: &[Label], own, hiding, goes_on: fn(&Vec3, &Vec3) -> bool| {
+            Ends::new(mesh, labels, own, hiding, goes_on).points()
+        };
+        let whole = points(&sheet(&|_| true), &labels, Label::Upper, None, anywhere);
+        // Half an edge beyond the cloth; its own last vertex at the sheet's rim.
+        assert!(whole.len() > 21 && whole.iter().all(|p| p.x > 0.0999 && p.x < 0.11), "{whole:?}");
+        assert!(points(&sheet(&|_| true), &labels, Label::Upper, Some(Label::Body), anywhere).is_empty());
+        // Something that only touches the cloth along half of that.
+        let touching = points(&sheet(&|_| true), &labels, Label::Upper, None, |a, _| a.y > 0.1);
+        assert!(touching.len() > 9 && touching.iter().all(|p| p.y > 0.09), "{touching:?}");
+        // A gap of two squares beside the cloth, and a hole in the middle of it.
+        let torn = sheet(&|i| !(10..12).contains(&(i % 21)) && (i % 21, i / 21) != (4, 9));
+        let across = points(&torn, &labels, Label::Upper, None, anywhere);
+        assert!(across.len() >= 20, "{across:?}");
+        // Half an edge beyond the last vertex; at the sheet's corners it leans.
+        let inner = across.iter().filter(|p| p.y > 0.005 && p.y < 0.195);
+        assert!(inner.clone().count() >= 19 && inner.clone().all(|p| (p.x - 0.105).abs() < 1e-9), "{across:?}");
+        // The gap is closed along a part: around there the closed part says where the cloth ends.
+        let partly = sheet(&|i| !(10..12).contains(&(i % 21)) || i / 21 < 8);
+        let both = points(&partly, &labels, Label::Upper, None, anywhere);
+        let at_gap: Vec<&Vec3> = both.iter().filter(|p| p.y > 0.081).collect();
+        assert!(at_gap.len() > 5 && at_gap.iter().all(|p| p.y > 0.08 + BESIDE - 0.011), "{at_gap:?}");
+    }
+
+    #[test]
+    fn borders_of_labels_are_followed_from_triangle_to_triangle() {
+        // A sheet of 7 mm squares; a disc of cloth of 6 cm, and cloth beyond x = 25 cm.
+        let across = 46u32;
+        let square = |i: u32| [[i, i + 1, i + across], [i + 1, i + across + 1, i + across]];
+        let sheet = TriMesh {
+            vertices: (0..across * across)
+                .map(|i| Vec3::new(f64::from(i % across), f64::from(i / across), 0.0) * 0.007)
+                .collect(),
+            faces: (0..across * (across - 1)).filter(|i| i % across < across - 1).flat_map(square).collect(),
+        };
+        let centre = Vec3::new(0.1234, 0.1567, 0.0);
+        let cloth = |p: &Vec3| (p - centre).norm() < 0.06 || p.x > 0.25;
+        let labels: Vec<Label> =
+            sheet.vertices.iter().map(|p| if cloth(p) { Label::Upper } else { Label::Body }).collect();
+        let rims = Ends::new(&sheet, &labels, Label::Upper, None, |_, _| true).rims;
+        let [straight, round] = &rims[..] else { panic!("{} pieces", rims.len()) };
+        assert!(!straight.closed && round.closed);
+        // Labels are known at vertices: each place within half of the longest edge.
+        let off = |p: &Vec3| ((p - centre).norm() - 0.06).abs();
+        assert!(round.points.iter().all(|p| off(p) < 0.0035 * 2f64.sqrt()), "{round:?}");
+        let mean = round.points.iter().map(|p| (p - centre).norm() - 0.06).sum::<f64>() / round.points.len() as f64;
+        assert!(mean.abs() < 0.5e-3, "{mean}");
+        // One after the other: all around, and from the one side of the sheet to the other.
+        let steps = |rim: &Rim| rim.points.windows(2).map(|w| (w[1] - w[0]).norm()).fold(0.0, f64::max);
+        assert!(steps(round) < 0.01 && steps(straight) < 0.01);
+        let ends = [straight.points[0], straight.points[straight.points.len() - 1]];
+        assert!((ends[0] - ends[1]).norm() > 0.31);
+        // What only touches cuts a border in two.
+        let apart = Ends::new(&sheet, &labels, Label::Upper, None, |a, _| a.x > 0.2 || a.y < 0.2).rims;
+        assert!(apart.iter().all(|r| !r.closed) && apart.len() == 2, "{apart:?}");
+    }
+}
