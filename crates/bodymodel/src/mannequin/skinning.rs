@@ -7,7 +7,7 @@ use super::surface::Symmetric;
 use caphy_core::Vec3;
 use caphy_core::body::{BlendWeights, Joint};
 use caphy_core::pose::{SMPLX_JOINTS, SMPLX_PARENTS, smplx_joint};
-use caphy_core::query::Adjacency;
+use caphy_core::query::{Adjacency, nearest_on_line};
 use rayon::prelude::*;
 
 pub(super) const COUNT: usize = SMPLX_JOINTS.len();
@@ -127,7 +127,8 @@ impl Regions {
             let points = &self.fingers[f].points;
             let wrist = Vec3::new(0.685, points[0].y, 0.5 * (points[0].z - 0.02));
             let chain = [wrist, points[0], points[1], points[2], points[3]];
-            let d = chain.windows(2).map(|s| to_segment(p, &s[0], &s[1])).fold(f64::INFINITY, f64::min);
+            let d =
+                chain.windows(2).map(|s| (p - nearest_on_line(p, [&s[0], &s[1]])).norm()).fold(f64::INFINITY, f64::min);
             (-(d / 0.007).powi(2)).exp().max(1e-30)
         });
         let sum: f64 = near.iter().sum();
@@ -163,13 +164,6 @@ impl Regions {
 /// Id of a joint that the layout has.
 fn id(name: &str) -> usize {
     smplx_joint(name).unwrap_or(0)
-}
-
-/// Distance to a segment [m].
-fn to_segment(p: &Vec3, a: &Vec3, b: &Vec3) -> f64 {
-    let along = b - a;
-    let t = ((p - a).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
-    (p - a - along * t).norm()
 }
 
 /// Weights of all vertices: regions, smoothed along the surface (never across a gap), at most six joints each.

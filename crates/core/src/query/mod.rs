@@ -23,5 +23,5 @@ pub use fans::Fans;
 pub use lanes::{LaneAnswers, LaneBoxes, NearestInLanes};
 pub use side::PseudoNormals;
 pub use surface::{NearestSurface, SurfacePoint};
-pub use triangle::{TriangleFeature, TrianglePoint, nearest_on_triangle};
+pub use triangle::{TriangleFeature, TrianglePoint, nearest_on_line, nearest_on_triangle};
 pub use vertices::NearestGrid;

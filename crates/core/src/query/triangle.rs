@@ -38,6 +38,14 @@ pub fn nearest_on_triangle(p: &Vec3, corners: &[Vec3; 3]) -> TrianglePoint {
     Weights::of_nearest(p, corners, is_sliver(corners)).on(corners)
 }
 
+/// The nearest point of a line from one end to another to `p` [m]; the ends may coincide.
+pub fn nearest_on_line(p: &Vec3, [from, to]: [&Vec3; 2]) -> Vec3 {
+    let way = to - from;
+    let share = (p - from).dot(&way) / way.norm_squared();
+    // Not a number, of no length, is its start.
+    if share > 0.0 { from + way * share.min(1.0) } else { *from }
+}
+
 /// A point of a triangle by its weights alone.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Weights {

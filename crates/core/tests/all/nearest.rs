@@ -4,7 +4,7 @@
 use caphy_core::lanes::Frames;
 use caphy_core::query::{
     LaneAnswers, NearestGrid, NearestInLanes, NearestSurface, PseudoNormals, SurfacePoint, TriangleFeature,
-    nearest_on_triangle,
+    nearest_on_line, nearest_on_triangle,
 };
 use caphy_core::{Error, Real, TriMesh, Vec3};
 use parry3d_f64::math::Vector;
@@ -339,6 +339,18 @@ fn slivers_specks_and_duplicates_are_exact_too() {
             }
         }
     }
+}
+
+#[test]
+fn nearest_points_of_lines_are_those_of_triangles_without_area() {
+    let mut rng = random(7);
+    for _ in 0..1000 {
+        let [p, a, b] = [(); 3].map(|()| point(&mut rng, 1.0));
+        let wanted = nearest_on_triangle(&p, &[a, b, b]).point;
+        assert!((nearest_on_line(&p, [&a, &b]) - wanted).norm() < 1e-12, "{p} {a} {b}");
+    }
+    let at = Vec3::new(0.1, 0.2, 0.3);
+    assert_eq!(nearest_on_line(&Vec3::zeros(), [&at, &at]), at);
 }
 
 #[test]

@@ -37,8 +37,8 @@ const LITTLE: f64 = 0.01;
 const APART: f64 = 2.0;
 const TYPICAL: f64 = 1e-3;
 
-/// Moves a finished template towards scans, those that it was finished with and more after them; `wear` as of [`super::finish`]. Given
-/// garments keep their own shape.
+/// Moves a finished template towards the scans that it was finished with, and its edges towards more after them; `wear` as of
+/// [`super::finish`]. Given garments keep their own shape.
 ///
 /// # Errors
 /// Those of `wear`.
@@ -49,6 +49,7 @@ pub fn ease(
     wear: impl Fn(&Template, usize, WornAs<'_>) -> Result<Vec<Vec3>> + Sync,
 ) -> Result<Refinement> {
     let mut now = finished;
+    let standing = now.worn.len();
     let more = (now.worn.len()..seen.len())
         .into_par_iter()
         .map(|scan| wear(&now.template, scan, WornAs { template: &now.template, vertices: &now.worn[0], scan: 0 }));
@@ -75,10 +76,12 @@ pub fn ease(
     };
     let start = residuals(&now.worn, &now.template.mesh.faces)?;
     let (mut cost, mut near) = (cost_of(&start, OTHERS), near_cost_of(&start, OTHERS));
-    let worth_it = WORTH_IT / (seen.len().max(1) as f64).sqrt();
+    let worth_it = WORTH_IT / (standing.max(1) as f64).sqrt();
     let mut widths = true;
     for _ in 0..ROUNDS {
-        let Moves { across, along } = Moves::new(&now.template, &now.worn, seen)?;
+        // In other poses arms and folds hide one side of sleeves more than the other: edges are seen all the same.
+        let offsets = offsets(&now.template, &now.worn[..standing], &seen[..standing])?;
+        let Moves { across, along } = Moves::new(&now.template, &offsets, &edge_moves(&now.template, &now.worn, seen));
         let cheaper = |by: f64| move |m: &Moved| cost_of(&m.residuals, OTHERS) < cost - by;
         let mut to = None;
         if widths {
@@ -125,12 +128,11 @@ struct Moves {
 }
 
 impl Moves {
-    fn new(template: &Template, worn: &[Vec<Vec3>], seen: &[Seen<'_>]) -> Result<Self> {
+    fn new(template: &Template, offsets: &[f64], edges: &[(Vec3, Vec3)]) -> Self {
         let normals = template.mesh.vertex_normals();
-        let edges = edge_moves(template, worn, seen);
         let with_edges = |p: &Vec3, normal: &Vec3| {
             let (mut sum, mut weight, mut nearest) = (Vec3::zeros(), 0.0, f64::INFINITY);
-            for (at, shift) in &edges {
+            for (at, shift) in edges {
                 let square = (p - at).norm_squared();
                 nearest = nearest.min(square);
                 let w = (-0.5 * square / (EDGE * EDGE)).exp();
@@ -141,11 +143,10 @@ impl Moves {
             moved - normal * normal.dot(&moved)
         };
         let vertices = template.mesh.vertices.par_iter().zip(&normals);
-        let offsets = offsets(template, worn, seen)?;
-        Ok(Self {
-            across: normals.iter().zip(offsets).map(|(n, d)| n * d).collect(),
+        Self {
+            across: normals.iter().zip(offsets).map(|(n, d)| n * *d).collect(),
             along: vertices.map(|(p, n)| with_edges(p, n)).collect(),
-        })
+        }
     }
 }
 

@@ -12,7 +12,7 @@ use super::response::{ANSWERS, DIFFERENCE, Far, MIDDLE, Response, Tried, cost};
 use super::rim::Rim;
 use super::source::TemplateSource;
 use super::{Style, Tailor, Template};
-use caphy_core::query::{NearestGrid, NearestSurface, boundary_loops, nearest_on_triangle};
+use caphy_core::query::{NearestGrid, NearestSurface, boundary_loops, nearest_on_line};
 use caphy_core::{Error, Result, Vec3, mesh};
 use nalgebra::DMatrix;
 use rayon::prelude::*;
@@ -486,7 +486,7 @@ impl Boundary {
     }
     /// The nearest edge, and the way from it [m].
     pub(super) fn nearest(&self, p: &Vec3) -> Option<(usize, Vec3)> {
-        let offset = |(ends, _): &([Vec3; 2], Vec3)| p - nearest_on_triangle(p, &[ends[0], ends[1], ends[1]]).point;
+        let offset = |(ends, _): &([Vec3; 2], Vec3)| p - nearest_on_line(p, [&ends[0], &ends[1]]);
         let all = self.edges.iter().map(offset).enumerate();
         all.min_by(|a, b| a.1.norm_squared().total_cmp(&b.1.norm_squared()))
     }

@@ -9,6 +9,7 @@ use super::refine::{OTHERS_M, Seen, median};
 use super::shape::smooth_step;
 use super::{NamedLoop, Template};
 use caphy_core::Vec3;
+use caphy_core::query::nearest_on_line;
 use nalgebra::{SMatrix, SVector};
 
 /// Points along edges are this far apart [m], and smoothed over this distance (a Gaussian's σ): a scan's triangles make them zigzag, and
@@ -91,10 +92,8 @@ impl Rim {
     fn nearest(&self, p: &Vec3) -> Option<(Vec3, Vec3, Vec3)> {
         let ends = self.points.iter().zip(self.points.iter().cycle().skip(1));
         let places = ends.take(self.points.len() - usize::from(!self.closed)).map(|(a, b)| {
-            let way = b - a;
-            let share = ((p - a).dot(&way) / way.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-            let place = a + way * share;
-            (p - place, place, way)
+            let place = nearest_on_line(p, [a, b]);
+            (p - place, place, b - a)
         });
         let (off, place, way) = places.min_by(|a, b| a.0.norm_squared().total_cmp(&b.0.norm_squared()))?;
         Some((off, place, way.try_normalize(0.0)?))
