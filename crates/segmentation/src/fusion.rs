@@ -7,7 +7,8 @@
 //! it.
 
 use crate::islands::without_islands;
-use caphy_core::query::{Adjacency, NearestGrid};
+use crate::unseen::fill;
+use caphy_core::query::Adjacency;
 use caphy_core::scan::{Label, Scan};
 use caphy_core::segmenter::{Camera, Segmenter, View};
 use caphy_core::{Error, Result, Vec3};
@@ -107,8 +108,8 @@ pub struct Fusion {
 
 /// Labels every vertex of a scan by the majority of the views that show it (Sec. 3.1); ties go to the smaller label.
 ///
-/// Vertices that no view shows take the labels of the nearest labelled vertices along edges, components without any
-/// seen vertex those of the nearest seen vertex in space. Deterministic on any number of threads.
+/// Vertices that no view shows take the label whose colours around them are theirs; where colours do not tell, those of the nearest
+/// labelled vertices along edges, in components without any seen vertex that of the nearest seen vertex in space. Deterministic on any number of threads.
 ///
 /// # Errors
 /// [`Error::Config`] for settings out of range; [`Error::Mesh`] for a scan without faces, with a broken mesh, or with
@@ -154,7 +155,7 @@ pub fn label_scan(scan: &Scan, segmenter: &dyn Segmenter, settings: &FusionSetti
         ));
     }
     let adjacency = Adjacency::new(vertex_count, &scan.mesh.faces);
-    fill(&scan.mesh.vertices, &adjacency, &seen, &mut labels);
+    fill(scan, &adjacency, &seen, &mut labels);
     for _ in 0..settings.smoothing {
         labels = smoothed(&adjacency, &labels);
     }
@@ -250,48 +251,6 @@ fn pixel_of(scan: &Scan, vertex: u32, camera: &Camera, image: &Image, tolerance:
     let near = weights.iter().all(|w| (-4.0..=5.0).contains(w));
     let surface: f64 = (0..3).map(|k| weights[k] * corners[k].z).sum();
     (near && (depth - surface).abs() <= tolerance).then_some(home)
-}
-
-/// Gives labels to vertices without one: breadth-first along edges, each ring by the majority of its labelled
-/// neighbours; then, for components without any, from the nearest seen vertex.
-fn fill(vertices: &[Vec3], adjacency: &Adjacency, seen: &[bool], labels: &mut [Label]) {
-    let mut ring: Vec<u32> = (0..labels.len() as u32).filter(|&v| labels[v as usize] != Label::Ignore).collect();
-    let mut queued: Vec<bool> = seen.to_vec();
-    while !ring.is_empty() {
-        let mut next = Vec::new();
-        for &v in &ring {
-            for &w in adjacency.of(v as usize) {
-                if !std::mem::replace(&mut queued[w as usize], true) {
-                    next.push(w);
-                }
-            }
-        }
-        // All of a ring is decided from the rings before it, so that the order inside a ring does not matter.
-        let decided: Vec<Label> = next.iter().map(|&w| neighbours_label(adjacency, labels, w as usize)).collect();
-        for (&w, label) in next.iter().zip(decided) {
-            labels[w as usize] = label;
-        }
-        ring = next;
-    }
-    if labels.contains(&Label::Ignore) {
-        let sources: Vec<usize> = (0..labels.len()).filter(|&v| seen[v]).collect();
-        let points: Vec<Vec3> = sources.iter().map(|&v| vertices[v]).collect();
-        let grid = NearestGrid::from_points(&points);
-        for v in 0..labels.len() {
-            if labels[v] == Label::Ignore
-                && let Some((nearest, _)) = grid.nearest_point(&vertices[v])
-            {
-                labels[v] = labels[sources[nearest as usize]];
-            }
-        }
-    }
-}
-
-/// The commonest label among a vertex's neighbours, [`Label::Ignore`] when none has one.
-fn neighbours_label(adjacency: &Adjacency, labels: &[Label], vertex: usize) -> Label {
-    let mut votes = [0; 3];
-    adjacency.of(vertex).iter().for_each(|&w| count(&mut votes, labels[w as usize]));
-    majority(&votes).map_or(Label::Ignore, |(label, _)| label)
 }
 
 /// Each vertex takes the label that more than half of its neighbours share, if there is one.

@@ -13,6 +13,7 @@ pub mod labels;
 pub mod onnx;
 pub mod picture;
 pub mod seeds;
+mod unseen;
 pub mod vertex;
 mod view;
 
