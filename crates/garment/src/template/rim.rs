@@ -11,6 +11,7 @@ use super::{NamedLoop, Template};
 use caphy_core::Vec3;
 use caphy_core::query::nearest_on_line;
 use nalgebra::{SMatrix, SVector};
+use rayon::prelude::*;
 
 /// Points along edges are this far apart [m], and smoothed over this distance (a Gaussian's σ): a scan's triangles make them zigzag, and
 /// those of a garment make them polygons. Both are smoothed alike.
@@ -25,7 +26,8 @@ const OFF: f64 = 0.02;
 /// Least deviation of an edge from its fitted place [m], and how far along it deviations are alike [m]: folds, triangles.
 const DEVIATION: f64 = 2e-3;
 const ALIKE: f64 = 0.06;
-/// An edge this much longer than at rest lies where its girth lets it; a slack one, such as a hem, folds.
+/// An edge this much longer than at rest lies where its girth lets it; a slack one, such as a hem, folds, as does one that is taut in less
+/// than half of the scans: a cuff on a lifted arm.
 const TAUT: f64 = 1.02;
 /// How far from an edge cloth moves with it [m].
 const MOVES: f64 = 0.06;
@@ -114,14 +116,20 @@ pub(super) fn girths(template: &Template, worn: &[Vec<Vec3>], seen: &[Seen<'_>])
         template.loops.iter().map(rim).collect()
     };
     let rest: Vec<f64> = edges(&template.mesh.vertices).iter().map(Rim::length).collect();
-    let of_scan = |(vertices, seen): (&Vec<Vec3>, &Seen<'_>)| {
+    // Of each edge whether it is taut, and what the scan says.
+    let of_scan = |(vertices, seen): (&Vec<Vec3>, &Seen<'_>)| -> Vec<(bool, Option<Larger>)> {
         let worn = edges(vertices);
         let larger = larger(&worn.iter().map(Rim::smoothed).collect::<Vec<_>>(), seen.rims);
         let taut = worn.iter().zip(&rest).map(|(worn, rest)| worn.length() >= TAUT * rest);
-        larger.into_iter().zip(taut).map(|(larger, taut)| larger.filter(|_| taut)).collect()
+        taut.zip(larger).collect()
     };
-    let scans: Vec<Vec<Option<Larger>>> = worn.iter().zip(seen).map(of_scan).collect();
-    (0..template.loops.len()).map(|k| 1.0 + together(scans.iter().filter_map(|scan| scan[k]))).collect()
+    let scans: Vec<Vec<(bool, Option<Larger>)>> = worn.iter().zip(seen).map(of_scan).collect();
+    let factor = |k: usize| {
+        let taut = scans.iter().filter(|scan| scan[k].0);
+        let often = 2 * taut.clone().count() >= scans.len();
+        if often { 1.0 + together(taut.filter_map(|scan| scan[k].1)) } else { 1.0 }
+    };
+    (0..template.loops.len()).map(factor).collect()
 }
 
 /// What scans say together, as far as they know it better than the template does: less where they differ by more than they should.
@@ -184,6 +192,15 @@ fn similar(edge: &Rim, points: &[Vec3]) -> Option<Larger> {
     let square: f64 = rows.iter().map(|(row, off)| (off - row.dot(&first)).powi(2)).sum();
     let (found, variance) = solved((2.0 * square / rows.len() as f64).sqrt().max(DEVIATION))?;
     Some(Larger { by: found[0], variance })
+}
+
+/// How far the vertices of a template at rest are from its nearest loop [m].
+pub(super) fn edge_distances(template: &Template) -> Vec<f64> {
+    let place = |v: &u32| template.mesh.vertices[*v as usize];
+    let rim = |l: &NamedLoop| Rim { points: l.vertices.iter().map(place).collect(), closed: true };
+    let rims: Vec<Rim> = template.loops.iter().map(rim).collect();
+    let nearest = |p: &Vec3| rims.iter().map(|r| r.distance(p)).fold(f64::INFINITY, f64::min);
+    template.mesh.vertices.par_iter().map(nearest).collect()
 }
 
 /// Where the vertices of a template go [m] for its loops to grow by factors, each about its own centre; cloth beside them less and less.
@@ -318,7 +335,12 @@ mod tests {
         // The template's polygon of 36 sides is known to a thousandth.
         assert!((neck - 1.03).abs() < 3e-3 && hem == 1.0, "{neck} {hem}");
         let nothing = Seen { rims: &[], ..seen };
-        assert_eq!(girths(&template, &[worn], &[nothing]), [1.0, 1.0]);
+        assert_eq!(girths(&template, std::slice::from_ref(&worn), &[nothing]), [1.0, 1.0]);
+        // Taut in one scan of three.
+        let slack = template.mesh.vertices.clone();
+        assert_eq!(girths(&template, &[worn, slack.clone(), slack], &[seen; 3]), [1.0, 1.0]);
+        let distances = edge_distances(&template);
+        assert!(template.mesh.vertices.iter().zip(distances).all(|(p, d)| (d - p.y.min(0.24 - p.y)).abs() < 1e-12));
 
         let moves = grown(&template, &[1.03, 1.0]);
         let mut larger = template.clone();
