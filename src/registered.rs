@@ -74,8 +74,8 @@ pub struct LabelError {
     /// How far places of borders are from the nearest one of the same two labels' true border, and places of true borders from the borders:
     /// what 95 % (the 95 % Hausdorff distance) and 99 % of them keep within [mm].
     pub border_mm: [f64; 2],
-    /// Of the wrong vertices, the distance to a vertex that truly has the label that they were given: what 99 % keep within, and the largest
-    /// [mm]; 0 without wrong ones. A patch of a dozen vertices in a slit counts here, and hardly does along all borders.
+    /// Of the wrong vertices, the distance to a vertex that truly has the label that they were given: what 99 % keep within, and the
+    /// largest [mm]; 0 without wrong ones. A patch of a dozen vertices in a slit counts here, and hardly does along all borders.
     pub wrong_mm: [f64; 2],
 }
 

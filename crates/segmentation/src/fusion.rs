@@ -108,8 +108,9 @@ pub struct Fusion {
 
 /// Labels every vertex of a scan by the majority of the views that show it (Sec. 3.1); ties go to the smaller label.
 ///
-/// Vertices that no view shows take the label whose colours around them are theirs; where colours do not tell, those of the nearest
-/// labelled vertices along edges, in components without any seen vertex that of the nearest seen vertex in space. Deterministic on any number of threads.
+/// Vertices that no view shows take the label whose colours around them are theirs; where colours do not tell, those of the
+/// nearest labelled vertices along edges, in components without any seen vertex that of the nearest seen vertex in space.
+/// Deterministic on any number of threads.
 ///
 /// # Errors
 /// [`Error::Config`] for settings out of range; [`Error::Mesh`] for a scan without faces, with a broken mesh, or with

@@ -2,14 +2,13 @@
 //!
 //! A style has one ease for all of a garment, one shape of neckline, and it is cut on a body that is itself millimetres off under cloth.
 //! What is left between the worn template and the scans, averaged over a wide neighbourhood and several poses so that folds cancel, is how
-//! much wider the garment is there: it moves along its normals by that, but for its free edges. How far the scans' edges lie beyond its own
-//! is how much longer it is there: its edges, and less so the cloth beside them, move along the surface. At last each edge gets the girth
-//! that scans show of it.
+//! much wider the garment is there: it moves along its normals by that. How far the scans' edges lie beyond its own is how much longer it
+//! is there: its edges, and less so the cloth beside them, move along the surface. At last each edge gets the girth that scans show of it.
 //! Differs from the paper, whose template is a style's.
 
 use super::refine::{Boundary, OTHERS, OTHERS_M, Patches, Refinement, Seen, WornAs, median, passed_over};
 use super::response::{cost_of, near_cost_of};
-use super::rim::{edge_distances, girths, grown};
+use super::rim::{girths, grown};
 use super::shape::smooth_step;
 use super::{Tailor, Template, grain};
 use caphy_core::query::NearestSurface;
@@ -22,8 +21,7 @@ const WIDTH: f64 = 0.045;
 const LARGEST: f64 = 0.01;
 /// Half the length of edge whose scanned points say together how far it is off [m].
 const EDGE: f64 = 0.04;
-/// Most that an edge moves at a time [m], and how far from it cloth moves with it, or keeps its width with it [m]: triangles keep half of
-/// their height.
+/// Most that an edge moves at a time [m], and how far from it cloth moves with it [m]: triangles keep half of their height.
 const LARGEST_EDGE: f64 = 0.015;
 const MOVES: f64 = 0.06;
 /// A scan with so many points around a place is heard by half.
@@ -123,7 +121,7 @@ struct Moved {
 
 /// Where the vertices of a template go [m].
 struct Moves {
-    /// Along normals, as [`offsets`] say; less beside edges, which stay.
+    /// Along normals, as [`offsets`] say.
     across: Vec<Vec3>,
     /// Along the surface, with its edges.
     along: Vec<Vec3>,
@@ -145,15 +143,8 @@ impl Moves {
             moved - normal * normal.dot(&moved)
         };
         let vertices = template.mesh.vertices.par_iter().zip(&normals);
-        // A free edge flutters and folds: as wide as it looks it is not.
-        let from_edge = edge_distances(template);
         Self {
-            across: normals
-                .iter()
-                .zip(offsets)
-                .zip(from_edge)
-                .map(|((n, d), near)| n * (d * smooth_step(0.0, MOVES, near)))
-                .collect(),
+            across: normals.iter().zip(offsets).map(|(n, d)| n * *d).collect(),
             along: vertices.map(|(p, n)| with_edges(p, n)).collect(),
         }
     }

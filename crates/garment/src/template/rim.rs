@@ -11,7 +11,6 @@ use super::{NamedLoop, Template};
 use caphy_core::Vec3;
 use caphy_core::query::nearest_on_line;
 use nalgebra::{SMatrix, SVector};
-use rayon::prelude::*;
 
 /// Points along edges are this far apart [m], and smoothed over this distance (a Gaussian's σ): a scan's triangles make them zigzag, and
 /// those of a garment make them polygons. Both are smoothed alike.
@@ -194,15 +193,6 @@ fn similar(edge: &Rim, points: &[Vec3]) -> Option<Larger> {
     Some(Larger { by: found[0], variance })
 }
 
-/// How far the vertices of a template at rest are from its nearest loop [m].
-pub(super) fn edge_distances(template: &Template) -> Vec<f64> {
-    let place = |v: &u32| template.mesh.vertices[*v as usize];
-    let rim = |l: &NamedLoop| Rim { points: l.vertices.iter().map(place).collect(), closed: true };
-    let rims: Vec<Rim> = template.loops.iter().map(rim).collect();
-    let nearest = |p: &Vec3| rims.iter().map(|r| r.distance(p)).fold(f64::INFINITY, f64::min);
-    template.mesh.vertices.par_iter().map(nearest).collect()
-}
-
 /// Where the vertices of a template go [m] for its loops to grow by factors, each about its own centre; cloth beside them less and less.
 pub(super) fn grown(template: &Template, factors: &[f64]) -> Vec<Vec3> {
     let place = |v: &u32| template.mesh.vertices[*v as usize];
@@ -339,8 +329,6 @@ mod tests {
         // Taut in one scan of three.
         let slack = template.mesh.vertices.clone();
         assert_eq!(girths(&template, &[worn, slack.clone(), slack], &[seen; 3]), [1.0, 1.0]);
-        let distances = edge_distances(&template);
-        assert!(template.mesh.vertices.iter().zip(distances).all(|(p, d)| (d - p.y.min(0.24 - p.y)).abs() < 1e-12));
 
         let moves = grown(&template, &[1.03, 1.0]);
         let mut larger = template.clone();
