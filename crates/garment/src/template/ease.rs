@@ -6,9 +6,9 @@
 //! is there: its edges, and less so the cloth beside them, move along the surface. At last each edge gets the girth that scans show of it.
 //! Differs from the paper, whose template is a style's.
 
+use super::girth::{girths, grown};
 use super::refine::{Boundary, OTHERS, OTHERS_M, Patches, Refinement, Seen, WornAs, median, passed_over};
 use super::response::{cost_of, near_cost_of};
-use super::rim::{girths, grown};
 use super::shape::smooth_step;
 use super::{Tailor, Template, grain};
 use caphy_core::query::NearestSurface;

@@ -10,6 +10,7 @@ mod choose;
 mod distance;
 mod ease;
 mod facts;
+mod girth;
 mod given;
 mod grain;
 mod loops;
