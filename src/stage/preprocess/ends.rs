@@ -13,6 +13,11 @@ const BESIDE: f64 = 0.04;
 const ROUNDS: usize = 2;
 /// Edges longer than this many typical ones go across a step in depth; diagonals of squares do not.
 const STEP: f64 = 1.5;
+/// Ends of pieces nearer to each other than so many edges are joined; a piece of this many points may go around.
+const JOINED: f64 = 4.0;
+const AROUND: usize = 30;
+/// Of vertices at a gap at most so many in a row, less one, are nearest to nothing across it.
+const SKIPPED: usize = 4;
 /// Cloth within so many edges of its end, wrong labels beside that aside, tells how far above the skin it ends.
 const RINGS: usize = 2;
 
@@ -20,8 +25,10 @@ const RINGS: usize = 2;
 pub(super) struct Ends {
     /// Where its label meets others, in pieces.
     pub(super) rims: Vec<Rim>,
-    /// Where it lies across a gap from others [m].
-    gaps: Vec<Vec3>,
+    /// The same together with where it lies across a gap from others, joined where pieces go on: longer pieces, less exact.
+    pub(super) joined: Vec<Rim>,
+    /// All of them, as points [m].
+    pub(super) points: Vec<Vec3>,
 }
 
 impl Ends {
@@ -48,13 +55,11 @@ impl Ends {
             neighbours: Adjacency::new(mesh.vertices.len(), &mesh.faces),
         };
         let rims = scan.rims(&goes_on);
-        let sure: Vec<Vec3> = rims.iter().flat_map(|r| r.points.iter().copied()).collect();
-        let gaps = scan.gaps(&goes_on, &sure);
-        Self { rims, gaps }
-    }
-    /// All of them, as points [m].
-    pub(super) fn points(&self) -> Vec<Vec3> {
-        self.rims.iter().flat_map(|r| &r.points).chain(&self.gaps).copied().collect()
+        let mut points: Vec<Vec3> = rims.iter().flat_map(|r| r.points.iter().copied()).collect();
+        let (gaps, across) = scan.gaps(&goes_on, &rims);
+        points.extend(across);
+        let joined = joined(rims.iter().cloned().chain(gaps).collect(), JOINED * typical);
+        Self { rims, joined, points }
     }
 }
 
@@ -174,48 +179,108 @@ impl Labelled<'_> {
         }
         rims
     }
-    /// Ends across gaps, none beside `sure` ends: where cloth can be followed to its end, a rim beside that is the bottom of a gap that
-    /// cameras look into.
-    fn gaps(&self, goes_on: &impl Fn(&Vec3, &Vec3) -> bool, sure: &[Vec3]) -> Vec<Vec3> {
+    /// Ends across gaps, in pieces along the rims of the scan, none beside `rims`, but where those end; and points of them that lie apart
+    /// from all of those: where cloth can be followed to its end, a rim beside that is the bottom of a gap that cameras look into.
+    fn gaps(&self, goes_on: &impl Fn(&Vec3, &Vec3) -> bool, rims: &[Rim]) -> (Vec<Rim>, Vec<Vec3>) {
         let place = |v: u32| self.place(v);
-        let sure = NearestGrid::from_points(sure);
+        let (mut sure, mut last) = (Vec::new(), Vec::new());
+        for rim in rims {
+            let count = rim.points.len();
+            last.extend((0..count).map(|i| !rim.closed && (i == 0 || i + 1 == count)));
+            sure.extend(&rim.points);
+        }
+        let sure = NearestGrid::from_points(&sure);
+        let beside = |v: u32| sure.nearest_within(&place(v).into(), BESIDE * BESIDE);
         let loops = boundary_loops(&self.mesh.faces);
         let rim: Vec<u32> = loops.iter().flatten().copied().collect();
-        // Along the rim, from the vertex before to the one after.
-        let mut along: BTreeMap<u32, Vec3> = BTreeMap::new();
-        for ring in &loops {
-            for (i, &v) in ring.iter().enumerate() {
-                let [before, after] = [i + ring.len() - 1, i + 1].map(|at| place(ring[at % ring.len()]));
-                along.insert(v, (after - before).try_normalize(0.0).unwrap_or_else(Vec3::zeros));
-            }
-        }
         let own_rim: Vec<u32> = rim.iter().copied().filter(|v| self.labels[*v as usize] == self.own).collect();
         let nearest = NearestGrid::from_points(&own_rim.iter().map(|&v| place(v)).collect::<Vec<_>>());
         let gap = GAP * self.typical;
         // From the other side of the gap: the rim of a hole that lies across an end goes on into the cloth.
-        let mut met: Vec<u32> = Vec::new();
+        let mut met: BTreeSet<u32> = BTreeSet::new();
         for &v in rim.iter().filter(|v| self.ends_at(**v)) {
             let Some((near, square)) = nearest.nearest_point(&place(v)) else { continue };
             let near = own_rim[near as usize];
             if square < gap * gap && goes_on(&place(near), &place(v)) {
-                met.push(near);
+                met.insert(near);
             }
         }
-        met.sort_unstable();
-        met.dedup();
-        met.retain(|&v| sure.nearest_within(&place(v).into(), BESIDE * BESIDE).is_none());
-        let near = |v: u32| self.neighbours.of(v as usize).iter().copied();
-        let own_of = |v: u32| near(v).filter(|&n| self.labels[n as usize] == self.own);
-        let outside = |v: u32| {
-            // The last vertex that is seen is half an edge inside on average.
-            let ring: Vec<Vec3> = own_of(v).flat_map(own_of).filter(|&n| n != v).map(place).collect();
-            let inside = ring.iter().sum::<Vec3>() / ring.len().max(1) as f64;
-            let way = place(v) - inside;
-            let along = along.get(&v).copied().unwrap_or_else(Vec3::zeros);
-            let outward = (way - along * along.dot(&way)).try_normalize(1e-9).unwrap_or_else(Vec3::zeros);
-            place(v) + outward * (if ring.is_empty() { 0.0 } else { 0.5 * self.typical })
+        let (mut pieces, mut points) = (Vec::new(), Vec::new());
+        for ring in &loops {
+            let count = ring.len();
+            // Along the rim, from the vertex before to the one after.
+            let outside = |i: usize| {
+                let [before, after] = [i + count - 1, i + 1].map(|at| place(ring[at % count]));
+                self.outside(ring[i], (after - before).try_normalize(0.0).unwrap_or_else(Vec3::zeros))
+            };
+            let is_met: Vec<bool> = ring.iter().map(|v| met.contains(v)).collect();
+            points.extend((0..count).filter(|&i| is_met[i] && beside(ring[i]).is_none()).map(outside));
+            // Not every vertex is the nearest one to something across the gap: a piece goes on over some.
+            let goes_along = |v: u32| beside(v).is_none_or(|(near, _)| last[near as usize]);
+            let own: Vec<bool> = ring.iter().map(|&v| self.labels[v as usize] == self.own && goes_along(v)).collect();
+            let reaches = |i: usize, step: usize| {
+                let way = (0..=SKIPPED.min(count - 1)).map(|k| (i + k * step) % count);
+                way.take_while(|&k| own[k]).any(|k| is_met[k])
+            };
+            let on: Vec<bool> = (0..count).map(|i| reaches(i, 1) && reaches(i, count - 1)).collect();
+            let Some(first) = on.iter().position(|on| !on) else {
+                pieces.push(Rim { points: (0..count).map(outside).collect(), closed: true });
+                continue;
+            };
+            let around: Vec<usize> = (0..count).map(|k| (first + k) % count).collect();
+            let open = around.chunk_by(|&a, &b| on[a] == on[b]).filter(|piece| on[piece[0]]);
+            pieces.extend(open.map(|p| Rim { points: p.iter().map(|&i| outside(i)).collect(), closed: false }));
+        }
+        (pieces, points)
+    }
+    /// Where cloth ends at a vertex of a rim that goes `along`: the last vertex that is seen is half an edge inside on average.
+    fn outside(&self, v: u32, along: Vec3) -> Vec3 {
+        let own_of = |v: u32| {
+            let near = self.neighbours.of(v as usize).iter().copied();
+            near.filter(|&n| self.labels[n as usize] == self.own)
         };
-        met.into_iter().map(outside).collect()
+        let ring: Vec<Vec3> = own_of(v).flat_map(own_of).filter(|&n| n != v).map(|n| self.place(n)).collect();
+        let inside = ring.iter().sum::<Vec3>() / ring.len().max(1) as f64;
+        let way = self.place(v) - inside;
+        let outward = (way - along * along.dot(&way)).try_normalize(1e-9).unwrap_or_else(Vec3::zeros);
+        self.place(v) + outward * (if ring.is_empty() { 0.0 } else { 0.5 * self.typical })
+    }
+}
+
+/// Pieces, those joined whose ends are within reach [m] of each other, nearest ones first.
+fn joined(mut pieces: Vec<Rim>, reach: f64) -> Vec<Rim> {
+    pieces.retain(|rim| !rim.points.is_empty());
+    loop {
+        let open = pieces.iter().enumerate().filter(|(_, rim)| !rim.closed);
+        let ends: Vec<(usize, bool, Vec3)> = open
+            .flat_map(|(i, rim)| [(i, false, rim.points[0]), (i, true, rim.points[rim.points.len() - 1])])
+            .collect();
+        let mut nearest = None;
+        let mut within = reach;
+        for (k, a) in ends.iter().enumerate() {
+            for b in &ends[k + 1..] {
+                // Around, and not back.
+                let goes_on = a.0 != b.0 || pieces[a.0].points.len() >= AROUND;
+                let apart = (a.2 - b.2).norm();
+                if apart < within && goes_on {
+                    (within, nearest) = (apart, Some((*a, *b)));
+                }
+            }
+        }
+        // The first of two comes first in the list.
+        let Some((a, b)) = nearest else { return pieces };
+        if a.0 == b.0 {
+            pieces[a.0].closed = true;
+            continue;
+        }
+        let mut second = pieces.remove(b.0).points;
+        if b.1 {
+            second.reverse();
+        }
+        if !a.1 {
+            pieces[a.0].points.reverse();
+        }
+        pieces[a.0].points.append(&mut second);
     }
 }
 
@@ -235,7 +300,7 @@ mod tests {
         let labels: Vec<Label> = (0..441).map(label).collect();
         let anywhere = |_: &Vec3, _: &Vec3| true;
         let points = |mesh: &TriMesh, labels: &[Label], own, hiding, goes_on: fn(&Vec3, &Vec3) -> bool| {
-            Ends::new(mesh, labels, own, hiding, goes_on).points()
+            Ends::new(mesh, labels, own, hiding, goes_on).points
         };
         let whole = points(&sheet(&|_| true), &labels, Label::Upper, None, anywhere);
         // Half an edge beyond the cloth; its own last vertex at the sheet's rim.
@@ -289,6 +354,55 @@ mod tests {
         // What only touches cuts a border in two.
         let apart = Ends::new(&sheet, &labels, Label::Upper, None, |a, _| a.x > 0.2 || a.y < 0.2).rims;
         assert!(apart.iter().all(|r| !r.closed) && apart.len() == 2, "{apart:?}");
+    }
+
+    #[test]
+    fn pieces_that_go_on_are_joined() {
+        let at = |x: f64| Vec3::new(x, 0.0, 0.0);
+        let piece = |xs: &[f64]| Rim { points: xs.iter().map(|&x| at(x)).collect(), closed: false };
+        let xs = |rim: &Rim| rim.points.iter().map(|p| p.x).collect::<Vec<_>>();
+        // Whichever way each goes; not farther than the reach, nor back to a piece's own start.
+        let line = joined(vec![piece(&[2.0, 1.0]), piece(&[2.05, 3.0]), piece(&[0.0, 0.9]), piece(&[4.0])], 0.5);
+        assert_eq!(line.iter().map(xs).collect::<Vec<_>>(), [vec![3.0, 2.05, 2.0, 1.0, 0.9, 0.0], vec![4.0]]);
+        assert!(joined(vec![piece(&[0.0, 0.2])], 0.5).iter().all(|rim| !rim.closed));
+        // Two halves of a circle become one that is closed.
+        let half = |from: i32| {
+            let place = |i: i32| {
+                let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / 60.0).sin_cos();
+                Vec3::new(cos, sin, 0.0)
+            };
+            Rim { points: (from..from + 30).map(place).collect(), closed: false }
+        };
+        let circle = joined(vec![half(0), half(30)], 0.2);
+        assert!(circle.len() == 1 && circle[0].closed && circle[0].points.len() == 60);
+    }
+
+    #[test]
+    fn an_end_goes_on_across_gaps_all_around() {
+        // A limb with a sleeve to y = 12.5 cm; around a third of it no camera looked in between.
+        let around = 63u32;
+        let place = |i: u32| {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(i % around) / f64::from(around)).sin_cos();
+            Vec3::new(0.05 * cos, 0.005 * f64::from(i / around), 0.05 * sin)
+        };
+        let square = |i: u32| {
+            let (a, b) = (i, i / around * around + (i + 1) % around);
+            [[a, a + around, b], [b, a + around, b + around]]
+        };
+        let seen = |i: &u32| i % around >= 21 || !(25..27).contains(&(i / around));
+        let limb = TriMesh {
+            vertices: (0..around * 40).map(place).collect(),
+            faces: (0..around * 39).filter(seen).flat_map(square).collect(),
+        };
+        let labels: Vec<Label> =
+            (0..around * 40).map(|i| if i / around <= 25 { Label::Upper } else { Label::Body }).collect();
+        let ends = Ends::new(&limb, &labels, Label::Upper, None, |_, _| true);
+        let [part] = &ends.rims[..] else { panic!("{} pieces", ends.rims.len()) };
+        let [whole] = &ends.joined[..] else { panic!("{} joined pieces", ends.joined.len()) };
+        assert!(!part.closed && whole.closed);
+        assert!(whole.points.iter().all(|p| (p.y - 0.1275).abs() < 1.5e-3), "{whole:?}");
+        let steps = whole.points.iter().zip(whole.points.iter().cycle().skip(1)).map(|(a, b)| (a - b).norm());
+        assert!(steps.fold(0.0, f64::max) < JOINED * 0.005 * 2f64.sqrt());
     }
 
     #[test]

@@ -110,12 +110,19 @@ struct Shown {
     points: Vec<Vec3>,
     edges: Vec<Vec3>,
     rims: Vec<Rim>,
+    joined: Vec<Rim>,
     cover: Vec<Vec3>,
 }
 
 impl Shown {
     fn seen(&self) -> Seen<'_> {
-        Seen { points: &self.points, edges: &self.edges, rims: &self.rims, covered_by: &self.cover }
+        Seen {
+            points: &self.points,
+            edges: &self.edges,
+            rims: &self.rims,
+            joined: &self.joined,
+            covered_by: &self.cover,
+        }
     }
 }
 
@@ -308,7 +315,13 @@ impl Standing<'_> {
     fn shown(&self, kind: GarmentKind, covered: bool, skin: &[Vec3]) -> Result<Shown> {
         let cover = if covered { thin(&self.of_label(label_of(other(kind))), CANDIDATE_POINTS) } else { Vec::new() };
         let ends = self.ends(kind, covered, skin);
-        Ok(Shown { points: self.seen(kind)?, edges: thin(&ends.points(), EDGE_POINTS), rims: ends.rims, cover })
+        Ok(Shown {
+            points: self.seen(kind)?,
+            edges: thin(&ends.points, EDGE_POINTS),
+            rims: ends.rims,
+            joined: ends.joined,
+            cover,
+        })
     }
     /// Scan points of a garment, thinned.
     fn seen(&self, kind: GarmentKind) -> Result<Vec<Vec3>> {

@@ -53,6 +53,8 @@ pub struct Seen<'a> {
     pub edges: &'a [Vec3],
     /// Its edges in pieces, each along an edge; none where that is not known.
     pub rims: &'a [Rim],
+    /// The same, joined where they go on across gaps that are not seen: longer pieces, less exact.
+    pub joined: &'a [Rim],
     /// Points of what is worn over it [m]: what lies nearer to them than to its own points is hidden.
     pub covered_by: &'a [Vec3],
 }
@@ -515,6 +517,7 @@ mod tests {
             points: &[Vec3::new(0.5, 0.5, 0.01)],
             edges: &[Vec3::new(2.02, 0.5, 0.0)],
             rims: &[],
+            joined: &[],
             covered_by: &[],
         };
         let r = Patches::new(&seen).residuals(&seen, &vertices, &faces).unwrap();

@@ -59,7 +59,7 @@ fn refinement_comes_nearer_to_the_style() {
         let template = tailor.generate(&start, 0.03).unwrap();
         Worn { vertices: vertices(&template), template }
     };
-    let seen = Seen { points: &scan, edges: &edges, rims: &[], covered_by: &[] };
+    let seen = Seen { points: &scan, edges: &edges, rims: &[], joined: &[], covered_by: &[] };
     let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t, _| Ok(vertices(t))).unwrap();
     assert_eq!(found.template.style, found.style);
     assert_eq!(found.worn, [vertices(&found.template)]);
@@ -76,7 +76,7 @@ fn refinement_comes_nearer_to_the_style() {
     // A sleeve that nobody sees the end of stays in the middle of what there is.
     let trunk: Vec<Vec3> = scan.iter().filter(|p| p.x.abs() < 0.15).copied().collect();
     let hem: Vec<Vec3> = edges.iter().filter(|p| p.x.abs() < 0.15).copied().collect();
-    let seen = Seen { points: &trunk, edges: &hem, rims: &[], covered_by: &[] };
+    let seen = Seen { points: &trunk, edges: &hem, rims: &[], joined: &[], covered_by: &[] };
     let found = refine(&TemplateParametric {}, &tailor, worn(), 0.03, seen, |t, _| Ok(vertices(t))).unwrap();
     assert_eq!(found.style.to_unit()[0], 0.5);
     assert!((found.style.to_unit()[1] - truth.to_unit()[1]).abs() < 0.01, "{:?}", found.style);
@@ -99,7 +99,7 @@ fn a_waist_under_a_shirt_is_not_guessed_from_folds() {
     let rise = |covered_by: &[Vec3]| {
         let template = tailor.generate(&trousers(0.6, 0.015, 0.3), 0.03).unwrap();
         let start = Worn { vertices: wear(&template).unwrap(), template };
-        let seen = Seen { points: &scan, edges: &edges, rims: &[], covered_by };
+        let seen = Seen { points: &scan, edges: &edges, rims: &[], joined: &[], covered_by };
         refine(&TemplateParametric {}, &tailor, start, 0.03, seen, |t, _| wear(t)).unwrap().style.to_unit()[2]
     };
     assert_eq!(rise(&over), 0.5);
@@ -113,7 +113,7 @@ fn coarse_cloth_that_stands_off_does_not_make_the_fine_template_narrower() {
     let scanned = tailor.generate(&truth, 0.02).unwrap();
     let scan = vertices(&scanned);
     let edges: Vec<Vec3> = scanned.loops.iter().flat_map(|l| &l.vertices).map(|&v| scan[v as usize]).collect();
-    let seen = Seen { points: &scan, edges: &edges, rims: &[], covered_by: &[] };
+    let seen = Seen { points: &scan, edges: &edges, rims: &[], joined: &[], covered_by: &[] };
     // Coarse cloth stands off by 4 mm, as it does where it cannot fold.
     let wear = |t: &Template| {
         let off = if t.mesh.mean_edge_length() > 0.03 { 0.004 } else { 0.0 };
@@ -149,7 +149,7 @@ fn a_shirt_that_is_wider_in_places_is_cut_wider_there() {
     };
     let folded = |p: &Vec3| wider(p) + 0.004 * (90.0 * p.x).sin();
     let scan = out(&scanned.mesh, &folded);
-    let seen = Seen { points: &scan, edges: &[], rims: &[], covered_by: &[] };
+    let seen = Seen { points: &scan, edges: &[], rims: &[], joined: &[], covered_by: &[] };
     let wear = |t: &Template, _: usize, _: WornAs<'_>| Ok(vertices(t));
     let worn = Worn { vertices: vertices(&start), template: start.clone() };
     let mut as_cut = refine(&TemplateParametric {}, &tailor, worn, 0.022, seen, |t, like| wear(t, 0, like)).unwrap();
@@ -188,7 +188,7 @@ fn a_shirt_that_ends_elsewhere_is_cut_there() {
     // What lies far from any edge is no edge: wrong labels in the middle of the trunk.
     let hem = scan.iter().map(|p| p.y).fold(f64::INFINITY, f64::min);
     edges.extend(scan.iter().filter(|p| (p.y - hem - 0.08).abs() < 0.02 && p.z > 0.0));
-    let seen = Seen { points: &scan, edges: &edges, rims: &[], covered_by: &[] };
+    let seen = Seen { points: &scan, edges: &edges, rims: &[], joined: &[], covered_by: &[] };
     let wear = |t: &Template, _: usize, _: WornAs<'_>| Ok(vertices(t));
     let worn = Worn { vertices: vertices(&start), template: start.clone() };
     let mut as_cut = refine(&TemplateParametric {}, &tailor, worn, 0.022, seen, |t, like| wear(t, 0, like)).unwrap();

@@ -353,7 +353,7 @@ fn a_folder_offers_the_garments_of_a_kind_and_a_scan_chooses() {
     let scan = cut(&styles[0], 0.02).mesh.vertices;
     let choice = choose_template(&posed, &scan, &ChooseOptions::default()).unwrap();
     assert_eq!(name(&uppers[choice.index]), "short");
-    let seen = Seen { points: &scan, edges: &[], rims: &[], covered_by: &[] };
+    let seen = Seen { points: &scan, edges: &[], rims: &[], joined: &[], covered_by: &[] };
     // Nothing lies between garments of a folder: refinement gives the choice back, and wears nothing.
     let again = |_: &Template, _: WornAs<'_>| -> Result<Vec<Vec3>> { panic!("worn again") };
     let start = Worn { template: candidates[1].clone(), vertices: posed[1].clone() };
@@ -467,7 +467,7 @@ fn a_linear_space_makes_garments_from_coefficients() {
     let edges: Vec<Vec3> =
         scanned.loops.iter().flat_map(|l| &l.vertices).map(|&v| scanned.mesh.vertices[v as usize]).collect();
     let vertices = |t: &Template, _: WornAs<'_>| Ok(t.mesh.vertices.clone());
-    let seen = Seen { points: &scan, edges: &edges, rims: &[], covered_by: &[] };
+    let seen = Seen { points: &scan, edges: &edges, rims: &[], joined: &[], covered_by: &[] };
     let template = source.template(tailor(), &styles[0], 0.03).unwrap();
     let start = Worn { vertices: template.mesh.vertices.clone(), template };
     let found = refine(&*source, tailor(), start, 0.03, seen, vertices).unwrap();
