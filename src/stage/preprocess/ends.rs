@@ -248,40 +248,54 @@ impl Labelled<'_> {
 }
 
 /// Pieces, those joined whose ends are within reach [m] of each other, nearest ones first.
-fn joined(mut pieces: Vec<Rim>, reach: f64) -> Vec<Rim> {
-    pieces.retain(|rim| !rim.points.is_empty());
-    loop {
-        let open = pieces.iter().enumerate().filter(|(_, rim)| !rim.closed);
-        let ends: Vec<(usize, bool, Vec3)> = open
-            .flat_map(|(i, rim)| [(i, false, rim.points[0]), (i, true, rim.points[rim.points.len() - 1])])
-            .collect();
-        let mut nearest = None;
-        let mut within = reach;
-        for (k, a) in ends.iter().enumerate() {
-            for b in &ends[k + 1..] {
-                // Around, and not back.
-                let goes_on = a.0 != b.0 || pieces[a.0].points.len() >= AROUND;
-                let apart = (a.2 - b.2).norm();
-                if apart < within && goes_on {
-                    (within, nearest) = (apart, Some((*a, *b)));
-                }
-            }
+fn joined(pieces: Vec<Rim>, reach: f64) -> Vec<Rim> {
+    let mut pieces: Vec<Option<Rim>> = pieces.into_iter().filter(|rim| !rim.points.is_empty()).map(Some).collect();
+    // Of the open pieces: the piece that an end is of, which changes, and where it is.
+    let mut ends: Vec<(usize, Vec3)> = Vec::new();
+    let mut bounds: Vec<[usize; 2]> = Vec::new();
+    for (i, rim) in pieces.iter().enumerate() {
+        bounds.push([ends.len(), ends.len() + 1]);
+        if let Some(Rim { points, closed: false }) = rim {
+            ends.extend([(i, points[0]), (i, points[points.len() - 1])]);
         }
-        // The first of two comes first in the list.
-        let Some((a, b)) = nearest else { return pieces };
-        if a.0 == b.0 {
-            pieces[a.0].closed = true;
+    }
+    let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
+    for (l, b) in ends.iter().enumerate() {
+        let before = ends[..l].iter().enumerate().map(|(k, a)| ((a.1 - b.1).norm(), k, l));
+        pairs.extend(before.filter(|pair| pair.0 < reach));
+    }
+    pairs.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut free = vec![true; ends.len()];
+    // Once more at the end: a piece that is long enough by then may go around.
+    for &(_, k, l) in pairs.iter().chain(&pairs) {
+        let (a, b) = (ends[k].0, ends[l].0);
+        if !(free[k] && free[l]) {
             continue;
         }
-        let mut second = pieces.remove(b.0).points;
-        if b.1 {
-            second.reverse();
+        if a == b {
+            // Around, and not back.
+            if let Some(rim) = pieces[a].as_mut().filter(|rim| rim.points.len() >= AROUND) {
+                rim.closed = true;
+                [free[k], free[l]] = [false; 2];
+            }
+            continue;
         }
-        if !a.1 {
-            pieces[a.0].points.reverse();
+        let Some(mut second) = pieces[b].take() else { continue };
+        let Some(first) = pieces[a].as_mut() else { continue };
+        if bounds[b][1] == l {
+            second.points.reverse();
+            bounds[b].reverse();
         }
-        pieces[a.0].points.append(&mut second);
+        if bounds[a][0] == k {
+            first.points.reverse();
+            bounds[a].reverse();
+        }
+        first.points.append(&mut second.points);
+        bounds[a][1] = bounds[b][1];
+        ends[bounds[b][1]].0 = a;
+        [free[k], free[l]] = [false; 2];
     }
+    pieces.into_iter().flatten().collect()
 }
 
 #[cfg(test)]
