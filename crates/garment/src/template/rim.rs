@@ -61,10 +61,14 @@ impl Rim {
         };
         Rim { points: (0..last).map(around).collect(), closed: self.closed }
     }
+    /// From point to point, and back to the first where it goes all around.
+    fn sides(&self) -> impl Iterator<Item = (&Vec3, &Vec3)> {
+        let ends = self.points.iter().zip(self.points.iter().cycle().skip(1));
+        ends.take(self.points.len().saturating_sub(usize::from(!self.closed)))
+    }
     /// The way from the nearest place to a point, where that is, and the direction of the edge there.
     pub(super) fn nearest(&self, p: &Vec3) -> Option<(Vec3, Vec3, Vec3)> {
-        let ends = self.points.iter().zip(self.points.iter().cycle().skip(1));
-        let places = ends.take(self.points.len() - usize::from(!self.closed)).map(|(a, b)| {
+        let places = self.sides().map(|(a, b)| {
             let place = nearest_on_line(p, [a, b]);
             (p - place, place, b - a)
         });
@@ -79,9 +83,8 @@ impl Rim {
     }
     /// How far from its first point along it the place nearest to a point is [m].
     fn along(&self, p: &Vec3) -> f64 {
-        let ends = self.points.iter().zip(self.points.iter().cycle().skip(1));
         let (mut before, mut at, mut nearest) = (0.0, 0.0, f64::INFINITY);
-        for (a, b) in ends.take(self.points.len() - usize::from(!self.closed)) {
+        for (a, b) in self.sides() {
             let place = nearest_on_line(p, [a, b]);
             let square = (p - place).norm_squared();
             if square < nearest {
