@@ -1,25 +1,29 @@
 //! Which part of the body a garment vertex can touch.
 //!
 //! Captured motion moves hands and forearms through the trunk. Were every body vertex a candidate, cloth at the belly would find
-//! a forearm inside the body nearest and be dragged out around it. A garment vertex therefore only meets the skin near
-//! the vertices that its own joint moves, measured in the T-pose; what it leaves out is contact across limbs (a hand on
-//! a hip), which a penalty on nearest vertices cannot resolve anyway.
+//! a forearm inside the body nearest and be dragged out around it. A garment vertex therefore only meets the skin that lies
+//! near its own and faces its way, measured in the T-pose; what it leaves out is contact across limbs (a hand on a hip), which a
+//! penalty on nearest vertices cannot resolve anyway. In an armpit, which closes where an arm comes down, every vertex so has
+//! skin of its own: were all of an arm's underside one, cloth there would meet the front of the shoulder and be torn to it.
 
 use crate::energy::NoNearest;
 use caphy_core::body::BlendWeights;
 use caphy_core::lanes::Frames;
-use caphy_core::query::{LaneAnswers, NearestGrid, NearestInLanes};
+use caphy_core::query::{Asked, LaneAnswers, NearestGrid, NearestInLanes};
 use caphy_core::{Error, Real, Result, Vec3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Garment vertices with the same dominant joint that face the same way, and the body vertices that they can touch.
+/// Garment vertices with the same dominant joint that face the same way, and the body vertices that some of them can touch: they are
+/// searched together.
 #[derive(Debug, Clone, PartialEq)]
 struct Region {
     garment: Vec<u32>,
     body: NearestInLanes,
     /// Where the search of each garment vertex begins.
     home: Vec<u32>,
+    /// What each of them can touch, `[garment vertex][group]`, see [`NearestInLanes::mask`].
+    may: Vec<u8>,
 }
 
 /// Cosine of the largest angle between the skin under a garment vertex and the skin that it can touch, in the T-pose: 73°, so that
@@ -45,7 +49,8 @@ pub struct ContactMap {
 
 impl ContactMap {
     /// For a template with its weights and a T-posed body (its reachable part, in the order of the frames to come, with its unit
-    /// normals): a vertex's candidates lie within `distance` [m] of it and face its way, or are its nearest where there are none.
+    /// normals): a vertex's candidates lie within `distance` [m] of it and face as the skin nearest to it does, within 73°, or are that
+    /// skin where there are none.
     ///
     /// # Errors
     /// [`Error::Length`] for other weights than vertices or normals than body vertices, [`Error::Mesh`] for a body without vertices.
@@ -59,7 +64,7 @@ impl ContactMap {
         Error::check_length("rows of garment weights", template.len(), weights.vertex_count())?;
         Error::check_length("normals of the T-posed body", body.len(), normals.len())?;
         let whole = NearestGrid::from_points(body);
-        // Vertices that share a joint and face about the same way share their candidates.
+        // Vertices that share a joint and face about the same way share most of their candidates.
         let mut groups: BTreeMap<(usize, usize), Vec<(u32, u32)>> = BTreeMap::new();
         for (v, point) in template.iter().enumerate() {
             let strongest = weights.row(v).fold((0, 0.0), |best, (j, w)| if w > best.1 { (j, w) } else { best });
@@ -72,23 +77,25 @@ impl ContactMap {
         let regions = groups
             .into_values()
             .map(|members| {
-                let points: Vec<Vec3> = members.iter().map(|&(v, _)| template[v as usize]).collect();
-                let near = |b: usize| {
-                    members.iter().zip(&points).any(|(&(_, home), p)| {
-                        (body[b] - p).norm_squared() < distance * distance
-                            && normals[b].dot(&normals[home as usize]) > FACING
-                    })
+                let touches = |&(v, home): &(u32, u32)| -> Vec<u32> {
+                    let (point, facing) = (&template[v as usize], &normals[home as usize]);
+                    let near = |b: &usize| {
+                        (body[*b] - point).norm_squared() < distance * distance && normals[*b].dot(facing) > FACING
+                    };
+                    let ids: Vec<u32> = (0..body.len()).filter(near).map(|b| b as u32).collect();
+                    if ids.is_empty() { vec![home] } else { ids }
                 };
-                let mut ids: Vec<u32> =
-                    (0..body.len()).into_par_iter().filter(|&b| near(b)).map(|b| b as u32).collect();
-                if ids.is_empty() {
-                    ids = members.iter().map(|&(_, home)| home).collect();
-                    ids.sort_unstable();
-                    ids.dedup();
-                }
+                let touched: Vec<Vec<u32>> = members.par_iter().map(touches).collect();
+                let mut ids = touched.concat();
+                ids.sort_unstable();
+                ids.dedup();
                 let search = NearestInLanes::new(body, &ids);
-                let home = points.par_iter().map(|p| search.home(body, p)).collect();
-                Region { garment: members.iter().map(|m| m.0).collect(), body: search, home }
+                let own = |((v, _), own): (&(u32, u32), &Vec<u32>)| {
+                    let may = |id: u32| own.binary_search(&id).is_ok();
+                    (search.home(body, &template[*v as usize], may), search.mask(may))
+                };
+                let (home, may): (Vec<u32>, Vec<Vec<u8>>) = members.par_iter().zip(&touched).map(own).unzip();
+                Region { garment: members.iter().map(|m| m.0).collect(), body: search, home, may: may.concat() }
             })
             .collect();
         Ok(Self { regions, garment_count: template.len(), body_count: body.len(), obstacle_count: 0 })
@@ -139,9 +146,12 @@ impl ContactMap {
                 let (cloth, skin) = (garment.block(block), body.block(block));
                 let mut answers = LaneAnswers::none(region.garment.len());
                 let boxes = region.body.boxes(skin);
-                region.body.search(skin, &boxes, cloth, &region.garment, Some(&region.home), &mut answers);
+                let rows = &region.garment[..];
+                let asked = Asked { rows, home: Some(&region.home), may: Some(&region.may) };
+                region.body.search(skin, &boxes, cloth, asked, &mut answers);
                 if let Some(obstacle) = &obstacle {
-                    obstacle.search(skin, &obstacle_boxes[block], cloth, &region.garment, None, &mut answers);
+                    let asked = Asked { rows, home: None, may: None };
+                    obstacle.search(skin, &obstacle_boxes[block], cloth, asked, &mut answers);
                 }
                 answers.ids
             })
@@ -225,19 +235,50 @@ mod tests {
         }
     }
 
-    /// The simple version: a grid per region and frame.
+    #[test]
+    fn vertices_that_are_searched_together_have_skin_of_their_own() {
+        // A strip of skin that faces down, cloth under all of it. Its far end is folded over to its beginning.
+        let body: Vec<Vec3> = (0..20).map(|i| Vec3::new(0.02 * f64::from(i), 0.0, 0.0)).collect();
+        let shirt: Vec<Vec3> = body.iter().map(|p| p - Vec3::new(0.0, 0.005, 0.0)).collect();
+        let weights = BlendWeights::from_rows((0..20).map(|_| vec![(0u16, 1.0)]));
+        let map = ContactMap::new(&shirt, &weights, &body, &[-Vec3::y(); 20], 0.05).unwrap();
+        assert_eq!(map.regions.len(), 1);
+        let mut posed = body.clone();
+        for i in 15..20 {
+            posed[i] = shirt[19 - i] + Vec3::new(0.001, 0.0, 0.0);
+        }
+        let mut garment = Frames::<f64>::zeros(1, 20, 1);
+        garment.set_frame(0, 0, &shirt).unwrap();
+        let mut frames = Frames::<f64>::zeros(1, 20, 1);
+        frames.set_frame(0, 0, &posed).unwrap();
+        let nearest = map.nearest(&garment, &frames).unwrap();
+        for (v, ids) in nearest.chunks_exact(<f64 as Real>::LANES).enumerate() {
+            assert!((body[ids[0] as usize] - shirt[v]).norm() < 0.05, "cloth {v} meets skin {}", ids[0]);
+            assert!(v > 12 || ids[0] as usize == v, "cloth {v} meets skin {}", ids[0]);
+        }
+    }
+
+    impl Region {
+        /// What a garment vertex can touch.
+        fn touched(&self, k: usize) -> Vec<u32> {
+            let groups = self.body.groups();
+            self.body.named(&self.may[k * groups..][..groups]).collect()
+        }
+    }
+
+    /// The simple version: a grid per garment vertex and frame.
     fn by_grids(map: &ContactMap, garment: &Frames<f32>, body: &Frames<f32>) -> Vec<u32> {
         let (n, width) = (garment.vertices(), <f32 as Real>::LANES);
         let mut out = vec![0; garment.blocks() * n * width];
         for block in 0..garment.blocks() {
             for lane in 0..garment.lanes_used() {
                 let (cloth, skin) = (lane_points(garment, block, lane), lane_points(body, block, lane));
-                for region in &map.regions {
-                    let mut ids = region.body.ids().to_vec();
+                for (region, k) in map.regions.iter().flat_map(|r| (0..r.garment.len()).map(move |k| (r, k))) {
+                    let mut ids = region.touched(k);
                     ids.extend(map.body_count as u32..(map.body_count + map.obstacle_count) as u32);
                     ids.sort_unstable();
                     let grid = NearestGrid::new(&ids.iter().map(|&id| skin[id as usize]).collect::<Vec<_>>());
-                    for &v in &region.garment {
+                    for &v in &region.garment[k..=k] {
                         let at = (block * n + v as usize) * width + lane;
                         out[at] = ids[grid.nearest(&cloth[v as usize]).unwrap().0 as usize];
                         if lane + 1 == garment.lanes_used() {
@@ -252,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn it_equals_a_grid_per_region_and_frame_with_and_without_an_obstacle() {
+    fn it_equals_a_grid_per_vertex_and_frame_with_and_without_an_obstacle() {
         let wave = |i: usize, k: usize, f: usize| ((i * 7 + k * 13) as f64 * 0.37 + f as f64 * 0.3).sin();
         let skin = |f: usize| -> Vec<Vec3> { (0..400).map(|i| Vec3::from_fn(|k, _| 0.3 * wave(i, k, f))).collect() };
         let shirt = |f: usize| -> Vec<Vec3> {

@@ -6,8 +6,8 @@
 
 use crate::{Real, Vec3, simd_kernel};
 
-/// Points of a group: few enough that boxes are tight, enough that a box is worth its test.
-const GROUP: usize = 8;
+/// Points of a group: few enough that boxes are tight, enough that a box is worth its test; as many as a mask has bits.
+const GROUP: usize = u8::BITS as usize;
 /// Groups that share an outer box.
 const OUTER: usize = 8;
 /// The widest register, in values.
@@ -30,6 +30,17 @@ pub struct NearestInLanes {
 pub struct LaneBoxes<T> {
     groups: Vec<T>,
     outer: Vec<T>,
+}
+
+/// Queries of a search.
+#[derive(Debug, Clone, Copy)]
+pub struct Asked<'a> {
+    /// Rows of the queries.
+    pub rows: &'a [u32],
+    /// The group where each search begins; `None`: the first.
+    pub home: Option<&'a [u32]>,
+    /// Which points may answer each query, `[query][group]`, see [`NearestInLanes::mask`]; `None`: all.
+    pub may: Option<&'a [u8]>,
 }
 
 /// Best answers so far, `[query][lane]`; several searches may add to the same.
@@ -68,17 +79,28 @@ impl NearestInLanes {
     pub fn groups(&self) -> usize {
         self.ids.len().div_ceil(GROUP)
     }
-    /// The group of the point nearest to a query in the pose of [`NearestInLanes::new`]: where a search should begin. 0
-    /// without points.
-    pub fn home(&self, points: &[Vec3], query: &Vec3) -> u32 {
+    /// The group of the point nearest to a query in the pose of [`NearestInLanes::new`], among those that may answer it: where a
+    /// search should begin. 0 without such points.
+    pub fn home(&self, points: &[Vec3], query: &Vec3, may: impl Fn(u32) -> bool) -> u32 {
         let mut best = (f64::INFINITY, 0);
         for (slot, &id) in self.ids.iter().enumerate() {
             let square = (points[id as usize] - query).norm_squared();
-            if square < best.0 {
+            if square < best.0 && may(id) {
                 best = (square, slot / GROUP);
             }
         }
         best.1 as u32
+    }
+    /// Which points may answer a query, for [`Asked::may`]: a bit for each point of a group, shape [group].
+    pub fn mask(&self, may: impl Fn(u32) -> bool) -> Vec<u8> {
+        let bits = |ids: &[u32]| ids.iter().enumerate().fold(0, |bits, (k, &id)| bits | u8::from(may(id)) << k);
+        self.ids.chunks(GROUP).map(bits).collect()
+    }
+    /// The points that a mask names.
+    pub fn named<'a>(&'a self, mask: &'a [u8]) -> impl Iterator<Item = u32> + 'a {
+        let groups = self.ids.chunks(GROUP).zip(mask);
+        groups
+            .flat_map(|(ids, bits)| ids.iter().enumerate().filter(move |(k, _)| bits >> k & 1 == 1).map(|(_, &id)| id))
     }
     /// Boxes of the groups in one block of frames, `[point][xyz][lane]` [m].
     pub fn boxes<T: Real>(&self, points: &[T]) -> LaneBoxes<T> {
@@ -90,27 +112,28 @@ impl NearestInLanes {
         enclose(&self.ids, points, &mut boxes.groups, &mut boxes.outer);
         boxes
     }
-    /// Nearest points of some queries in one block. `points` and `queries` are `[point][xyz][lane]` [m]; `asked` names
-    /// rows of `queries`, `home` the group where each search begins (`None`: the first); `answers` has a row for each.
+    /// Nearest points of some queries in one block. `points` and `queries` are `[point][xyz][lane]` [m]; `answers` has a row for each
+    /// query.
     ///
     /// # Panics
-    /// For boxes, homes or answers of another shape.
+    /// For boxes, homes, masks or answers of another shape.
     pub fn search<T: Real>(
         &self,
         points: &[T],
         boxes: &LaneBoxes<T>,
         queries: &[T],
-        asked: &[u32],
-        home: Option<&[u32]>,
+        asked: Asked<'_>,
         answers: &mut LaneAnswers<T>,
     ) {
+        let count = asked.rows.len();
         assert_eq!(boxes.groups.len(), self.groups() * BOX * T::LANES, "boxes of another search");
-        assert!(home.is_none_or(|home| home.len() == asked.len()), "a home for each query");
-        assert_eq!((answers.squares.len(), answers.ids.len()), (asked.len() * T::LANES, asked.len() * T::LANES));
+        assert!(asked.home.is_none_or(|home| home.len() == count), "a home for each query");
+        assert!(asked.may.is_none_or(|may| may.len() == count * self.groups()), "a mask for each query");
+        assert_eq!((answers.squares.len(), answers.ids.len()), (count * T::LANES, count * T::LANES));
         if self.ids.is_empty() {
             return;
         }
-        look(&self.ids, points, boxes, queries, (asked, home.unwrap_or(&[])), answers);
+        look(&self.ids, points, boxes, queries, asked, answers);
     }
 }
 
@@ -201,11 +224,20 @@ fn worth<T: Real>(corners: &[T], q: &[T], best: &[T; MAX_LANES]) -> bool {
     any != 0
 }
 
-/// Compares a group's points with the best in every lane.
+/// Compares those of a group's points that a mask names with the best in every lane.
 #[inline(always)]
-fn visit<T: Real>(ids: &[u32], points: &[T], q: &[T], best: &mut [T; MAX_LANES], chosen: &mut [u32; MAX_LANES]) {
+fn visit<T: Real>(
+    (ids, mask): (&[u32], u8),
+    points: &[T],
+    q: &[T],
+    best: &mut [T; MAX_LANES],
+    chosen: &mut [u32; MAX_LANES],
+) {
     let lanes = T::LANES;
-    for &id in ids {
+    for (k, &id) in ids.iter().enumerate() {
+        if mask >> k & 1 == 0 {
+            continue;
+        }
         let p = row(points, id);
         for l in 0..lanes {
             let (x, y, z) = (p[l] - q[l], p[lanes + l] - q[lanes + l], p[2 * lanes + l] - q[2 * lanes + l]);
@@ -224,21 +256,23 @@ simd_kernel! {
         points: &[T],
         boxes: &LaneBoxes<T>,
         queries: &[T],
-        asked: (&[u32], &[u32]),
+        asked: Asked<'_>,
         answers: &mut LaneAnswers<T>,
     ) {
         let lanes = T::LANES;
         let width = BOX * lanes;
+        let groups = ids.len().div_ceil(GROUP);
         let group = |g: usize| &ids[g * GROUP..][..GROUP.min(ids.len() - g * GROUP)];
         let rows = answers.squares.chunks_exact_mut(lanes).zip(answers.ids.chunks_exact_mut(lanes));
-        for (i, (&v, (squares, found))) in asked.0.iter().zip(rows).enumerate() {
+        for (i, (&v, (squares, found))) in asked.rows.iter().zip(rows).enumerate() {
             let q = row(queries, v);
             let mut best = [T::infinity(); MAX_LANES];
             let mut chosen = [u32::MAX; MAX_LANES];
             best[..lanes].copy_from_slice(squares);
             chosen[..lanes].copy_from_slice(found);
-            let home = asked.1.get(i).map_or(0, |&g| g as usize);
-            visit(group(home), points, q, &mut best, &mut chosen);
+            let home = asked.home.map_or(0, |home| home[i] as usize);
+            let mask = |g: usize| asked.may.map_or(u8::MAX, |may| may[i * groups + g]);
+            visit((group(home), mask(home)), points, q, &mut best, &mut chosen);
             for (o, outer) in boxes.outer.chunks_exact(width).enumerate() {
                 if !worth(outer, q, &best) {
                     continue;
@@ -246,8 +280,9 @@ simd_kernel! {
                 let inner = &boxes.groups[o * OUTER * width..];
                 for (g, corners) in inner.chunks_exact(width).take(OUTER).enumerate() {
                     let g = o * OUTER + g;
-                    if g != home && worth(corners, q, &best) {
-                        visit(group(g), points, q, &mut best, &mut chosen);
+                    let mask = mask(g);
+                    if g != home && mask != 0 && worth(corners, q, &best) {
+                        visit((group(g), mask), points, q, &mut best, &mut chosen);
                     }
                 }
             }

@@ -20,7 +20,7 @@ mod vertices;
 pub use adjacency::Adjacency;
 pub use edges::{Hinge, boundary_loops, hinges};
 pub use fans::Fans;
-pub use lanes::{LaneAnswers, LaneBoxes, NearestInLanes};
+pub use lanes::{Asked, LaneAnswers, LaneBoxes, NearestInLanes};
 pub use side::PseudoNormals;
 pub use surface::{NearestSurface, SurfacePoint};
 pub use triangle::{TriangleFeature, TrianglePoint, nearest_on_line, nearest_on_triangle};

@@ -3,7 +3,7 @@
 
 use caphy_core::lanes::Frames;
 use caphy_core::query::{
-    LaneAnswers, NearestGrid, NearestInLanes, NearestSurface, PseudoNormals, SurfacePoint, TriangleFeature,
+    Asked, LaneAnswers, NearestGrid, NearestInLanes, NearestSurface, PseudoNormals, SurfacePoint, TriangleFeature,
     nearest_on_line, nearest_on_triangle,
 };
 use caphy_core::{Error, Real, TriMesh, Vec3};
@@ -155,20 +155,34 @@ fn lanes_equal_grids<T: Real>(points: &Frames<T>, queries: &Frames<T>, grouped: 
     let search = NearestInLanes::new(grouped, ids);
     let boxes = search.boxes(points.data());
     let asked: Vec<u32> = (0..queries.vertices() as u32).rev().collect();
-    // From a good group, from a bad one, and from none.
-    let near: Vec<u32> = asked.iter().map(|&v| search.home(grouped, &queries.get(0, 0, v as usize))).collect();
-    let bad: Vec<u32> = asked.iter().map(|&v| v % search.groups() as u32).collect();
-    for home in [Some(&near), Some(&bad), None] {
-        let mut answers = LaneAnswers::none(asked.len());
-        search.search(points.data(), &boxes, queries.data(), &asked, home.map(|h| &h[..]), &mut answers);
-        for l in 0..T::LANES {
-            let all = lane(points, l);
-            let some: Vec<[T; 3]> = ids.iter().map(|&id| all[id as usize]).collect();
-            let grid = NearestGrid::new(&some);
-            for (i, query) in asked.iter().map(|&v| lane(queries, l)[v as usize]).enumerate() {
-                let wanted = grid.nearest(&query).map_or((u32::MAX, T::infinity()), |(k, d)| (ids[k as usize], d));
-                let at = i * T::LANES + l;
-                assert_eq!((answers.ids[at], answers.squares[at]), wanted, "lane {l}, query {i} at {query:?}");
+    // Everything may answer, or for each query another part; the second query nothing.
+    let some = |v: u32, id: u32| v != 1 && (id.wrapping_mul(2_654_435_761) ^ v) % 3 == 0;
+    let masks: Vec<u8> = asked.iter().flat_map(|&v| search.mask(|id| some(v, id))).collect();
+    for (v, mask) in asked.iter().zip(masks.chunks(search.groups().max(1))) {
+        let mut named: Vec<u32> = search.named(mask).collect();
+        named.sort_unstable();
+        assert_eq!(named, ids.iter().copied().filter(|&id| some(*v, id)).collect::<Vec<_>>());
+    }
+    for masked in [false, true] {
+        let may = |v: u32, id: u32| !masked || some(v, id);
+        // From a good group, from a bad one, and from none.
+        let begin = |&v: &u32| search.home(grouped, &queries.get(0, 0, v as usize), |id| may(v, id));
+        let near: Vec<u32> = asked.iter().map(begin).collect();
+        let bad: Vec<u32> = asked.iter().map(|&v| v % search.groups() as u32).collect();
+        for home in [Some(&near[..]), Some(&bad), None] {
+            let mut answers = LaneAnswers::none(asked.len());
+            let of = Asked { rows: &asked, home, may: masked.then_some(&masks[..]) };
+            search.search(points.data(), &boxes, queries.data(), of, &mut answers);
+            for l in 0..T::LANES {
+                let all = lane(points, l);
+                for (i, &v) in asked.iter().enumerate() {
+                    let ids: Vec<u32> = ids.iter().copied().filter(|&id| may(v, id)).collect();
+                    let grid = NearestGrid::new(&ids.iter().map(|&id| all[id as usize]).collect::<Vec<_>>());
+                    let query = lane(queries, l)[v as usize];
+                    let wanted = grid.nearest(&query).map_or((u32::MAX, T::infinity()), |(k, d)| (ids[k as usize], d));
+                    let at = i * T::LANES + l;
+                    assert_eq!((answers.ids[at], answers.squares[at]), wanted, "lane {l}, query {i} at {query:?}");
+                }
             }
         }
     }
@@ -213,9 +227,10 @@ fn lanes_without_an_answer_say_so_and_the_others_have_theirs() {
     lanes_equal_grids(&points, &queries, &cloud, &ids);
     let search = NearestInLanes::new(&cloud, &[]);
     let mut answers = LaneAnswers::none(4);
-    search.search(points.data(), &search.boxes(points.data()), queries.data(), &[0, 1, 2, 3], None, &mut answers);
+    let asked = Asked { rows: &[0, 1, 2, 3], home: None, may: None };
+    search.search(points.data(), &search.boxes(points.data()), queries.data(), asked, &mut answers);
     assert_eq!(answers, LaneAnswers::none(4));
-    assert_eq!((search.groups(), search.home(&cloud, &Vec3::zeros())), (0, 0));
+    assert_eq!((search.groups(), search.home(&cloud, &Vec3::zeros(), |_| true)), (0, 0));
 }
 
 #[test]
