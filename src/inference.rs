@@ -1,5 +1,6 @@
 //! Playing a trained garment: a whole clip with carried state, or single poses.
 
+use crate::config::TrainConfig;
 use crate::garment::{FittedGarment, TrainedGarment};
 use crate::plugins::PluginTable;
 use crate::track::BodyTrack;
@@ -11,7 +12,7 @@ use caphy_core::query::NearestGrid;
 use caphy_core::{Error, Real, Result, TriMesh, Vec3};
 use caphy_garment::contact::ContactMap;
 use caphy_garment::skinning::Skinner;
-use nalgebra::Matrix3x4;
+use nalgebra::{Matrix3x4, UnitQuaternion};
 
 /// How frames follow each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -101,7 +102,23 @@ impl<'a> Player<'a> {
     }
 }
 
+/// Where a pose was as long before the first one as `later` comes after it, if nothing changed its pace: joints turn, and the root
+/// moves, on as they do after it.
+fn earlier(first: &Pose, later: &Pose) -> Pose {
+    let before = |(a, b): (&Vec3, &Vec3)| {
+        let (a, b) = (UnitQuaternion::from_scaled_axis(*a), UnitQuaternion::from_scaled_axis(*b));
+        (a * b.inverse() * a).scaled_axis()
+    };
+    Pose {
+        rotations: first.rotations.iter().zip(&later.rotations).map(before).collect(),
+        translation: 2.0 * first.translation - later.translation,
+    }
+}
+
 /// Garment vertices of every frame of a track [m], shape [frame][vertex].
+///
+/// A clip goes on from a motion that it does not show. The net watches as many frames of it as windows are led into with: from
+/// nothing its first answers leap.
 pub fn play(
     garment: &FittedGarment,
     trained: &TrainedGarment,
@@ -111,12 +128,21 @@ pub fn play(
 ) -> Result<Vec<Vec<Vec3>>> {
     let mut player = Player::new(garment, trained, spec)?;
     let mut out = Vec::with_capacity(track.len());
-    for frame in 0..track.len() {
-        let previous = (how == Play::Clip && frame > 0).then(|| &track.poses[frame - 1]);
+    let mut previous: Option<Pose> = None;
+    if how == Play::Clip {
+        let lead_in = TrainConfig::default().lead_in.min(track.len().saturating_sub(1));
+        for frame in (1..=lead_in).rev() {
+            let pose = earlier(&track.poses[0], &track.poses[frame]);
+            player.displace(&pose, previous.as_ref())?;
+            previous = Some(pose);
+        }
+    }
+    for (frame, pose) in track.poses.iter().enumerate() {
         if how == Play::Poses {
             player.rest();
         }
-        let posed = player.frame(&track.poses[frame], previous, &track.transforms[frame])?;
+        let posed = player.frame(pose, previous.as_ref(), &track.transforms[frame])?;
+        previous = (how == Play::Clip).then(|| pose.clone());
         Error::check_finite(&format!("posed {} of frame {frame}", garment.kind), posed.as_flattened())?;
         out.push(posed.iter().map(|p| Vec3::from_fn(|k, _| f64::from(p[k]))).collect());
     }
@@ -172,6 +198,22 @@ pub fn push_layers(outer: &mut [Vec3], inner: &TriMesh, gap: f64, reach: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_was_before_a_clip_keeps_its_pace() {
+        let (first, later) = (Vec3::new(0.3, -0.2, 0.9), Vec3::new(-0.1, 0.5, 1.1));
+        let pose = |rotation: Vec3, translation: Vec3| Pose { rotations: vec![rotation], translation };
+        let (a, b) = (pose(first, Vec3::x()), pose(later, Vec3::new(1.5, 0.1, 0.0)));
+        let before = earlier(&a, &b);
+        let turn = |from: &Pose, to: &Pose| {
+            let [from, to] = [from, to].map(|p| UnitQuaternion::from_scaled_axis(p.rotations[0]));
+            to * from.inverse()
+        };
+        assert!(turn(&before, &a).angle_to(&turn(&a, &b)) < 1e-12);
+        assert!((before.translation - Vec3::new(0.5, -0.1, 0.0)).norm() < 1e-12);
+        // Who stands still has stood still.
+        assert!((earlier(&a, &a).rotations[0] - first).norm() < 1e-12);
+    }
 
     #[test]
     fn pushing_out_leaves_a_gap_and_nothing_else_moves() {
