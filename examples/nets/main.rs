@@ -7,7 +7,7 @@
 //! It needs `CAPHY_SHARED`, as `configs/cmu.toml` does. Runs stay in `runs/nets` and are reused; settings change the experiment.
 
 use caphy::artifact::{self, write_atomically};
-use caphy::config::Setting;
+use caphy::config::{Config, Setting};
 use caphy::plot::{Axes, Curve, lines, standalone};
 use caphy::plugins::Plugins;
 use caphy::quality::WAVELENGTHS;
@@ -50,7 +50,8 @@ fn main() -> Outcome<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let page = PathBuf::from(arguments.first().ok_or("name the page, such as docs/nets.md")?);
     let given = &arguments[1..];
-    let rounds = open(Path::new(RUNS), &[], given)?.config().train.rounds;
+    let config = Config::read_set(Path::new(EXPERIMENT), &settings(&[], given)?, &mut Plugins::new()?)?;
+    let rounds = config.train.rounds;
     let some = |share: &f64| ((rounds as f64 * share).round() as usize).max(1);
     let mut cases: Vec<Case> = SHARES.iter().map(|s| Case { body: 0, fabric: 0, rounds: some(s) }).collect();
     let dressed = (0..BODIES.len()).flat_map(|body| (0..FABRICS.len()).map(move |fabric| (body, fabric)));
@@ -62,9 +63,8 @@ fn main() -> Outcome<()> {
     Ok(())
 }
 
-fn open(out: &Path, own: &[String], given: &[String]) -> Outcome<Run> {
-    let settings = own.iter().chain(given).map(|t| Setting::parse(t)).collect::<caphy_core::Result<Vec<_>>>()?;
-    Ok(Run::open_set(Path::new(EXPERIMENT), Some(out.into()), &settings, &mut Plugins::new()?)?)
+fn settings(own: &[String], given: &[String]) -> Outcome<Vec<Setting>> {
+    Ok(own.iter().chain(given).map(|t| Setting::parse(t)).collect::<caphy_core::Result<_>>()?)
 }
 
 /// Measures all cases, one on each thread at a time.
@@ -95,7 +95,8 @@ fn measure(case: Case, given: &[String]) -> Outcome<Measured> {
     own.extend((case.fabric > 0).then(|| format!(r#"upper.material={{type="measured",fabric="{fabric}"}}"#)));
     let out = Path::new(RUNS).join(format!("{}-{fabric}-{}", body.to_lowercase(), case.rounds));
     eprintln!("{}", out.display());
-    let table = open(&out, &own, given)?.until("compare")?.all()?.table;
+    let run = Run::open_set(Path::new(EXPERIMENT), Some(out.clone()), &settings(&own, given)?, &mut Plugins::new()?)?;
+    let table = run.until("compare")?.all()?.table;
     eprintln!("{table}");
     let times: BTreeMap<String, f64> = serde_json::from_slice(&std::fs::read(out.join("timings.json"))?)?;
     let time = |stage: &str| times.get(stage).copied().unwrap_or(f64::NAN);
