@@ -244,8 +244,8 @@ mod tests {
         let map = ContactMap::new(&shirt, &weights, &body, &[-Vec3::y(); 20], 0.05).unwrap();
         assert_eq!(map.regions.len(), 1);
         let mut posed = body.clone();
-        for i in 15..20 {
-            posed[i] = shirt[19 - i] + Vec3::new(0.001, 0.0, 0.0);
+        for (i, p) in posed.iter_mut().enumerate().skip(15) {
+            *p = shirt[19 - i] + Vec3::new(0.001, 0.0, 0.0);
         }
         let mut garment = Frames::<f64>::zeros(1, 20, 1);
         garment.set_frame(0, 0, &shirt).unwrap();

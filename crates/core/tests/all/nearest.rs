@@ -156,7 +156,7 @@ fn lanes_equal_grids<T: Real>(points: &Frames<T>, queries: &Frames<T>, grouped: 
     let boxes = search.boxes(points.data());
     let asked: Vec<u32> = (0..queries.vertices() as u32).rev().collect();
     // Everything may answer, or for each query another part; the second query nothing.
-    let some = |v: u32, id: u32| v != 1 && (id.wrapping_mul(2_654_435_761) ^ v) % 3 == 0;
+    let some = |v: u32, id: u32| v != 1 && (id.wrapping_mul(2_654_435_761) ^ v).is_multiple_of(3);
     let masks: Vec<u8> = asked.iter().flat_map(|&v| search.mask(|id| some(v, id))).collect();
     for (v, mask) in asked.iter().zip(masks.chunks(search.groups().max(1))) {
         let mut named: Vec<u32> = search.named(mask).collect();
