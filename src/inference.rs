@@ -128,21 +128,25 @@ pub fn play(
 ) -> Result<Vec<Vec<Vec3>>> {
     let mut player = Player::new(garment, trained, spec)?;
     let mut out = Vec::with_capacity(track.len());
-    let mut previous: Option<Pose> = None;
+    let mut before: Option<Pose> = None;
     if how == Play::Clip {
         let lead_in = TrainConfig::default().lead_in.min(track.len().saturating_sub(1));
         for frame in (1..=lead_in).rev() {
             let pose = earlier(&track.poses[0], &track.poses[frame]);
-            player.displace(&pose, previous.as_ref())?;
-            previous = Some(pose);
+            player.displace(&pose, before.as_ref())?;
+            before = Some(pose);
         }
     }
-    for (frame, pose) in track.poses.iter().enumerate() {
+    for frame in 0..track.len() {
+        let previous = match how {
+            Play::Clip if frame > 0 => Some(&track.poses[frame - 1]),
+            Play::Clip => before.as_ref(),
+            Play::Poses => None,
+        };
         if how == Play::Poses {
             player.rest();
         }
-        let posed = player.frame(pose, previous.as_ref(), &track.transforms[frame])?;
-        previous = (how == Play::Clip).then(|| pose.clone());
+        let posed = player.frame(&track.poses[frame], previous, &track.transforms[frame])?;
         Error::check_finite(&format!("posed {} of frame {frame}", garment.kind), posed.as_flattened())?;
         out.push(posed.iter().map(|p| Vec3::from_fn(|k, _| f64::from(p[k]))).collect());
     }

@@ -19,6 +19,7 @@ pub mod inference;
 pub mod inputs;
 mod judge;
 pub mod manifest;
+pub mod markdown;
 pub mod measure;
 pub mod memory;
 pub mod motion;

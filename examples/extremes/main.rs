@@ -7,6 +7,7 @@
 mod precision;
 
 use caphy::artifact::write_atomically;
+use caphy::markdown::table;
 use caphy::plot::{Axes, Curve, lines, standalone};
 use caphy::plugins::Plugins;
 use caphy::stress::{self, Atlas, ROUNDINGS};
@@ -32,14 +33,6 @@ impl Figures {
         write_atomically(&self.folder.join(format!("{name}.svg")), standalone(&lines(&axes, &curves)).as_bytes())?;
         Ok(format!("\n![{title}]({}/{name}.svg)\n", self.named))
     }
-}
-
-/// A table in Markdown.
-fn table(head: &[&str], rows: &[Vec<String>]) -> String {
-    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-    let names: Vec<String> = head.iter().map(|h| h.to_string()).collect();
-    let rule: Vec<String> = head.iter().map(|_| "---".to_string()).collect();
-    format!("\n{}{}{}", line(&names), line(&rule), rows.iter().map(|r| line(r)).collect::<String>())
 }
 
 fn main() -> Outcome<()> {

@@ -8,6 +8,7 @@
 
 use caphy::artifact::{self, write_atomically};
 use caphy::config::{Config, Setting};
+use caphy::markdown::table;
 use caphy::plot::{Axes, Curve, lines, standalone};
 use caphy::plugins::Plugins;
 use caphy::quality::WAVELENGTHS;
@@ -145,13 +146,6 @@ impl Measured {
             format!("{:.0}", self.seconds[1]),
         ]
     }
-}
-
-fn table(head: &[&str], rows: &[Vec<String>]) -> String {
-    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-    let names: Vec<String> = head.iter().map(|h| h.to_string()).collect();
-    let rule: Vec<String> = head.iter().map(|_| "---".to_string()).collect();
-    format!("\n{}{}{}\n", line(&names), line(&rule), rows.iter().map(|r| line(r)).collect::<String>())
 }
 
 fn report(page: &Path, given: &[String], all: &[Measured]) -> Outcome<String> {

@@ -9,6 +9,7 @@
 use caphy::artifact::{self, write_atomically};
 use caphy::config::Setting;
 use caphy::files::ProjectFiles;
+use caphy::markdown::table;
 use caphy::plot::number;
 use caphy::plugins::Plugins;
 use caphy::registered::{BodyError, LabelError, body_error, joint_error, label_error, true_body};
@@ -167,13 +168,6 @@ impl Person {
         eprintln!("  {}", self.row().join("  "));
         self.template_rows().iter().for_each(|r| eprintln!("  {}", r.join("  ")));
     }
-}
-
-fn table(head: &[&str], rows: &[Vec<String>]) -> String {
-    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-    let names: Vec<String> = head.iter().map(|h| h.to_string()).collect();
-    let rule: Vec<String> = head.iter().map(|_| "---".to_string()).collect();
-    format!("\n{}{}{}\n", line(&names), line(&rule), rows.iter().map(|r| line(r)).collect::<String>())
 }
 
 fn report(people: &[Person]) -> String {

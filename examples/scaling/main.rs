@@ -9,6 +9,7 @@
 mod one;
 
 use caphy::artifact::write_atomically;
+use caphy::markdown::table;
 use caphy::memory::readable;
 use caphy::plot::{Axes, Curve, lines, number, standalone};
 use one::{Case, Measured};
@@ -71,13 +72,6 @@ fn exponent(points: &[(f64, f64)]) -> f64 {
     let (mx, my) = (mean(|p| p.0), mean(|p| p.1));
     let (xy, xx) = logs.iter().fold((0.0, 0.0), |s, p| (s.0 + (p.0 - mx) * (p.1 - my), s.1 + (p.0 - mx) * (p.0 - mx)));
     xy / xx
-}
-
-fn table(head: &[&str], rows: &[Vec<String>]) -> String {
-    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-    let names: Vec<String> = head.iter().map(|h| h.to_string()).collect();
-    let rule: Vec<String> = head.iter().map(|_| "---".to_string()).collect();
-    format!("\n{}{}{}\n", line(&names), line(&rule), rows.iter().map(|r| line(r)).collect::<String>())
 }
 
 fn report(

@@ -21,6 +21,7 @@ mod study;
 mod worn;
 
 use caphy::artifact::write_atomically;
+use caphy::markdown::table;
 use caphy::plot;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -45,14 +46,6 @@ impl Figures {
         write_atomically(&self.folder.join(name), bytes)?;
         Ok(format!("\n![{title}]({}/{name})\n", self.named))
     }
-}
-
-/// A table in Markdown.
-fn table(head: &[&str], rows: &[Vec<String>]) -> String {
-    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-    let names: Vec<String> = head.iter().map(|h| h.to_string()).collect();
-    let rule: Vec<String> = head.iter().map(|_| "---".to_string()).collect();
-    format!("\n{}{}{}", line(&names), line(&rule), rows.iter().map(|r| line(r)).collect::<String>())
 }
 
 /// The usual pair: a soft knit and a stiff denim.

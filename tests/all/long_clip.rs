@@ -155,6 +155,16 @@ fn carried_state_is_sane_at_frame_300() {
     assert!(last <= rounding, "cloth is {last} m elsewhere after a period, {rounding} m by rounding");
     assert!(first > 10.0 * rounding, "the beginning left no trace ({first} m): nothing was carried");
 
+    // A clip that begins where joints turn at an even pace goes on from what was before it, which a pose alone does not know.
+    let begins = LATE + PERIOD / 4;
+    let cut = shirt.track(&poses[begins..]);
+    let [led, alone] = [Play::Clip, Play::Poses].map(|how| {
+        let part = play(&shirt.garment, &trained, &shirt.net, &cut, how).expect("a played clip");
+        apart(&part[0], &poses[begins], &played[begins], &poses[begins])
+    });
+    println!("a clip's first frame from the carried state [m]: {led:.1e}, of a pose alone {alone:.1e}");
+    assert!(led < 0.5 * alone, "the beginning of a clip leaps by {led} m, that of a pose by {alone} m");
+
     // Windows that start anew and end at a late frame: the longer, the nearer to the carried state.
     let learner = shirt.learner(&trained, &motion, &scans);
     let late: Vec<usize> = (LATE..LATE + PERIOD).collect();
