@@ -126,9 +126,47 @@ fn borders(mesh: &TriMesh, labels: &[Label]) -> BTreeMap<[Label; 2], Vec<Vec3>> 
     out
 }
 
+/// Area of the part of a mesh that lies below a height [m²]: of trousers what no shirt covers, where that is its hem's.
+pub fn area_below(mesh: &TriMesh, height_m: f64) -> f64 {
+    let below = |[a, b, c]: [Vec3; 3]| {
+        let area = 0.5 * (b - a).cross(&(c - a)).norm();
+        let mut y = [a.y, b.y, c.y];
+        y.sort_by(f64::total_cmp);
+        let [low, middle, high] = y;
+        // The corner that is cut off on one side of a line of equal height, as a share of the whole.
+        let corner = |from: f64, to: f64, other: f64| (height_m - from).powi(2) / ((to - from) * (other - from));
+        area * if height_m >= high {
+            1.0
+        } else if height_m <= low {
+            0.0
+        } else if height_m <= middle {
+            corner(low, middle, high)
+        } else {
+            1.0 - corner(high, middle, low)
+        }
+    };
+    (0..mesh.faces.len()).map(|f| below(mesh.corners(f))).sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn areas_below_a_height_are_cut_along_it() {
+        // A trapezium: a square with a triangle beside it, in a slanted plane of unit area per unit of height and width.
+        let at = |x: f64, y: f64| Vec3::new(x, y, y);
+        let mesh = TriMesh {
+            vertices: vec![at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0), at(0.0, 1.0), at(2.0, 0.0)],
+            faces: vec![[0, 1, 2], [0, 2, 3], [1, 4, 2]],
+        };
+        let slant = 2f64.sqrt();
+        for h in [-0.5f64, 0.0, 0.25, 0.5, 0.9, 1.0, 3.0] {
+            let h_in = h.clamp(0.0, 1.0);
+            let expected = slant * (h_in + h_in - 0.5 * h_in * h_in);
+            assert!((area_below(&mesh, h) - expected).abs() < 1e-12, "{h}");
+        }
+    }
 
     #[test]
     fn a_border_that_moved_by_two_of_ten_points_is_known() {

@@ -1,27 +1,26 @@
 //! From scans to labels, a naked body under the clothes, and garment templates (Sec. 3.1).
 
+mod bodies;
 mod ends;
 mod standard;
 mod templates;
 mod touching;
 
+pub(crate) use bodies::FILE as BODIES;
 pub use templates::TemplateChoice;
 
 use super::scans::{ScanFrame, hash_scan, read_framed, read_scan_of, start_poses};
 use super::{Context, ScanFile, Scans, StageOutput};
 use crate::artifact;
 use crate::config::{Config, ScansConfig, SubjectConfig};
-use crate::fixed_shape::FixedShape;
 use crate::garment::FittedGarment;
 use crate::pictures;
 use crate::runner::input_hashes;
 use crate::scene::label_of;
-use caphy_bodymodel::registration::{
-    RegistrationScan, RegistrationSettings, ScanFit, ScanStart, find_starts, register, register_from,
-};
+use bodies::FittedScan;
+use caphy_bodymodel::registration::{RegistrationScan, ScanFit, ScanStart, find_starts};
 use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_core::pose::Pose;
-use caphy_core::query::NearestGrid;
 use caphy_core::scan::LabelledPoints;
 use caphy_core::segmenter::Segmenter;
 use caphy_core::{Error, Result, TriMesh, Vec3};
@@ -103,8 +102,8 @@ impl Subject {
 /// Labels, fits, chooses.
 ///
 /// A scan that cannot be used is left out with a note that says why, and the others go on; without any that can be learned from,
-/// its problem is the run's. Labels and start pose of each scan are an artifact of their own: a killed run, or one with more scans
-/// in the folder, goes on from there.
+/// its problem is the run's. Labels and start pose of each scan are an artifact of their own, and so are the bodies: a killed run, or one
+/// with more scans in the folder, goes on from there.
 pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     let config = context.config;
     let progress = context.progress;
@@ -155,9 +154,21 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
     }
     context.time(SCANS_TIME, started.elapsed().as_secs_f64());
     let started = Instant::now();
-    let fitted = fit_bodies(context, &*body, &mut labelled, &mut skip, [until_labels, until_bodies])?;
+    let bodies = bodies::fitted(context, &*body, &labelled, [until_labels, until_bodies])?;
     context.time(BODIES_TIME, started.elapsed().as_secs_f64());
-    let Some((shape, displacement)) = fitted else {
+    let mut used: Vec<(&ScanFile, LabelledScan, FittedScan)> = Vec::new();
+    for ((file, scan), fitted) in labelled.into_iter().zip(bodies.scans) {
+        match fitted {
+            Some(fitted) if !fitted.is_strange() => {
+                fitted.notes().iter().for_each(|note| progress.note(&format!("scan {} {note}", file.name)));
+                used.push((file, scan, fitted));
+            }
+            Some(fitted) => skip(file, fitted.strange(&file.name)),
+            // Held out, and nothing to learn a shape from.
+            None => {}
+        }
+    }
+    let Some((shape, displacement)) = bodies.shape else {
         // The first problem: later ones often follow from the same cause.
         return Err(failures
             .into_iter()
@@ -175,10 +186,7 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
         choices: Vec::new(),
         pictures: Vec::new(),
     };
-    for (file, mut scan) in labelled {
-        let (pose, fit) = scan.fitted.ok_or_else(|| {
-            Error::numerics(format!("scan {}", file.name), "was not fitted", "look at the labels in the report")
-        })?;
+    for (file, mut scan, FittedScan { pose, fit, strange_share }) in used {
         if let Some(note) = touching::note(&*body, &subject_body.posed(&pose))? {
             progress.note(&format!("scan {} {note}", file.name));
             scan.notes.push(note);
@@ -193,7 +201,7 @@ pub fn run(context: &Context<'_>, scans: &Scans) -> Result<Subject> {
             fusion: scan.fusion,
             label_agreement: scan.label_agreement,
             fit,
-            strange_share: scan.strange_share,
+            strange_share,
         });
     }
 
@@ -229,11 +237,9 @@ struct LabelledScan {
     start: ScanStart,
     /// The user's rough pose.
     given: Option<Pose>,
-    /// Found with the others.
+    /// Key of its artifact: hash of all that it was made of.
     #[serde(skip)]
-    fitted: Option<(Pose, ScanFit)>,
-    #[serde(skip)]
-    strange_share: f64,
+    key: String,
 }
 
 /// Labels and start pose of one scan, from its artifact when nothing has changed.
@@ -261,7 +267,7 @@ fn labelled_scan(
     let path = context.folder.join("labelled").join(format!("{}.caphy", file.name));
     // A damaged artifact is made anew: it is only a shortcut.
     if let Ok(Some((scan, _))) = artifact::load::<LabelledScan>(&path, "labelled", &key) {
-        return Ok(scan);
+        return Ok(LabelledScan { key, ..scan });
     }
     let (scan, frame, mut notes) = read_scan_of(context.files, &config.subject, body, file)?;
     let fusion = label_scan(&scan, segmenter, &settings)?;
@@ -296,9 +302,8 @@ fn labelled_scan(
             notes.push(format!("shows little of the {kind} garment: {share:.1} % of its vertices"));
         }
     }
-    let made =
-        LabelledScan { frame, notes, points, fusion, label_agreement, start, given, fitted: None, strange_share: 0.0 };
-    artifact::save(&path, "labelled", &key, &made)?;
+    let made = LabelledScan { frame, notes, points, fusion, label_agreement, start, given, key };
+    artifact::save(&path, "labelled", &made.key, &made)?;
     Ok(made)
 }
 
@@ -307,103 +312,6 @@ pub(crate) const SCANS_TIME: &str = "preprocess: labels and starts";
 pub(crate) const BODIES_TIME: &str = "preprocess: bodies";
 /// Share of vertices without a label of their own from which on it is worth a note.
 const UNSEEN: f64 = 0.2;
-/// Distance from the body at which a scan point is not this person [m]: beyond wide sleeves and long hair.
-const STRANGE: f64 = 0.15;
-/// Share of such points with which a scan is left out, and with which it is mentioned.
-const STRANGE_SHARES: (f64, f64) = (0.2, 0.02);
-/// Share of bare skin with the body near below which a scan is mentioned: hair and holes are less, a forearm is more.
-const FOUND: f64 = 0.9;
-
-/// Fits shape and poses to all scans, scans whose points are not explained left out; held-out scans get a pose but no say in the
-/// shape. `None` without a scan to learn from.
-fn fit_bodies(
-    context: &Context<'_>,
-    body: &dyn BodyModel,
-    labelled: &mut Vec<(&ScanFile, LabelledScan)>,
-    skip: &mut dyn FnMut(&ScanFile, Error),
-    [from, to]: [f64; 2],
-) -> Result<Option<(Vec<f64>, Vec<Vec3>)>> {
-    let (config, progress) = (context.config, context.progress);
-    loop {
-        let training: Vec<usize> = (0..labelled.len()).filter(|&i| !labelled[i].0.held_out).collect();
-        if training.is_empty() {
-            return Ok(None);
-        }
-        let as_scan =
-            |i: usize| RegistrationScan { name: &labelled[i].0.name, points: &labelled[i].1.points, start: None };
-        let inputs: Vec<RegistrationScan<'_>> = training.iter().map(|&i| as_scan(i)).collect();
-        let starts: Vec<ScanStart> = training.iter().map(|&i| labelled[i].1.start.clone()).collect();
-        let share = training.len() as f64 / labelled.len() as f64;
-        let fit = register_from(body, &inputs, &starts, &config.registration, &|s| {
-            progress.set(from + (to - from) * share * s, "body under the clothes");
-        })?;
-        let mut subject_body = body.rest(&fit.shape);
-        subject_body.displacement = fit.displacement.clone();
-        let fixed = FixedShape::new(body, &subject_body)?;
-        let mut fitted: Vec<Option<(Pose, ScanFit)>> = vec![None; labelled.len()];
-        for ((&i, pose), report) in training.iter().zip(&fit.poses).zip(&fit.report) {
-            fitted[i] = Some((pose.clone(), report.clone()));
-        }
-        let held: Vec<usize> = (0..labelled.len()).filter(|&i| labelled[i].0.held_out).collect();
-        let settings = RegistrationSettings { displacement_sigma: 0.0, ..config.registration.clone() };
-        let alone: Vec<(Pose, ScanFit)> = held
-            .par_iter()
-            .map(|&i| {
-                // The start found before went with a shape of its own: with the subject's it is searched for again.
-                let scan = RegistrationScan { start: labelled[i].1.given.clone(), ..as_scan(i) };
-                let mut fit = register(&fixed, &[scan], &settings, &|_| ())?;
-                Ok((fit.poses.swap_remove(0), fit.report.swap_remove(0)))
-            })
-            .collect::<Result<_>>()?;
-        held.iter().zip(alone).for_each(|(&i, found)| fitted[i] = Some(found));
-        let mut wrong = Vec::new();
-        for (i, found) in fitted.into_iter().enumerate() {
-            let (file, scan) = &mut labelled[i];
-            if let Some((pose, _)) = &found {
-                scan.strange_share = strange_share(body, &subject_body, pose, &scan.points)?;
-            }
-            if scan.strange_share > STRANGE_SHARES.0 {
-                wrong.push(i);
-            } else if scan.strange_share > STRANGE_SHARES.1 {
-                let share = 100.0 * scan.strange_share;
-                progress.note(&format!("scan {} has {share:.0} % of its points far from the body", file.name));
-            }
-            if let Some((_, report)) = &found
-                && report.skin_found_share < FOUND
-            {
-                progress.note(&format!(
-                    "scan {} has skin without the body near, {:.0} % of it: look at it in pictures/scans.png; if a limb is wrong, \
-                     give its pose in `subject.starts`",
-                    file.name,
-                    100.0 * (1.0 - report.skin_found_share)
-                ));
-            }
-            scan.fitted = found;
-        }
-        if wrong.is_empty() {
-            return Ok(Some((fit.shape, fit.displacement)));
-        }
-        // They have pulled at the shape: it is found again without them.
-        for &i in wrong.iter().rev() {
-            let (file, scan) = labelled.remove(i);
-            let problem = format!(
-                "{:.0} % of its points are more than {STRANGE} m from the fitted body",
-                100.0 * scan.strange_share
-            );
-            let remedy =
-                "is it one person, whole, without floor and backdrop? Perhaps `subject.starts` or `subject.up` helps";
-            skip(file, Error::mesh(&file.name, "points", problem, remedy));
-        }
-    }
-}
-
-/// Share of scan points far from the posed body.
-fn strange_share(body: &dyn BodyModel, subject: &BodyParameters, pose: &Pose, points: &LabelledPoints) -> Result<f64> {
-    let grid = NearestGrid::from_points(&body.forward(&subject.posed(pose))?.vertices);
-    let far = |p: &&Vec3| grid.nearest_within(&[p.x, p.y, p.z], STRANGE * STRANGE).is_none();
-    Ok(points.points.iter().filter(far).count() as f64 / points.points.len().max(1) as f64)
-}
-
 /// Scan, labels, body and overlay of each scan (as the paper's Fig. 3), and the templates.
 fn draw(
     context: &Context<'_>,

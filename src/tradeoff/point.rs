@@ -16,7 +16,7 @@ use crate::inference::{Play, Player, play};
 use crate::plugins::Plugins;
 use crate::runner::input_hashes;
 use crate::scene::Scene;
-use crate::stage::preprocess::Subject;
+use crate::stage::preprocess::{BODIES, Subject};
 use crate::stage::train::Nets;
 use crate::variants::anew;
 use caphy_core::{Error, Result};
@@ -150,6 +150,7 @@ impl Bench<'_> {
             return Ok((value, false));
         }
         remove(&results)?;
+        remove(&folder.join(BODIES))?;
         let labelled = folder.join("labelled");
         if labelled.exists() {
             std::fs::remove_dir_all(&labelled).map_err(|e| Error::io(&labelled, "remove", e))?;

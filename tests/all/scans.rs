@@ -85,18 +85,35 @@ fn scans_that_cannot_be_used_are_left_out_and_the_others_go_on() {
         assert!(missing.is_none(), "`{missing:?}` is missing in {name}: {said}");
     }
 
-    // One more scan: what is known of the others is taken from their artifacts.
-    let stamp = |name: &str| {
-        let path = experiment.out().join(format!("labelled/{name}.caphy"));
-        std::fs::metadata(path).and_then(|m| m.modified()).expect("an artifact of the scan")
+    let written = |name: &str| {
+        let path = experiment.out().join(format!("{name}.caphy"));
+        std::fs::metadata(path).and_then(|m| m.modified()).expect("an artifact")
     };
+    let stamp = |name: &str| written(&format!("labelled/{name}"));
+    // Another template: the bodies are those found before, and the same scans are left out.
+    let (before, bodies) = (stamp("anna"), written("bodies"));
+    let config = |edits: &[(&str, &str)]| edited(&tiny_on_scans("scans", &["held"]), edits);
+    experiment.configure(&config(&[("[upper]", "[upper]\nmass_g = 150")]));
+    let other = preprocess(&experiment);
+    assert_eq!((stamp("anna"), written("bodies")), (before, bodies));
+    let same = |a: &Subject, b: &Subject| {
+        let known = |s: &Subject| serde_json::to_string(&(&s.shape, &s.displacement, &s.scans)).expect("JSON");
+        known(a) == known(b) && a.skipped.iter().zip(&b.skipped).all(|(a, b)| a.problem == b.problem)
+    };
+    assert!(same(&subject, &other) && subject.skipped.len() == other.skipped.len());
+    // Another way to fit them: other bodies of the same starts.
+    let fit = ("sample_vertices = 900", "sample_vertices = 900\ndisplacement_sigma = 0.0");
+    experiment.configure(&config(&[fit, ("[upper]", "[upper]\nmass_g = 150")]));
+    let other = preprocess(&experiment);
+    assert!(written("bodies") > bodies && !same(&subject, &other));
     let before = stamp("anna");
+    // One more scan: what is known of the others is taken from their artifacts.
     write("otto", &scan);
     let more = preprocess(&experiment);
     assert_eq!((more.scans.len(), stamp("anna")), (6, before));
     assert!(stamp("otto") > before);
     // Another unit is another scan.
-    experiment.configure(&edited(&tiny_on_scans("scans", &["held"]), &[("folder", "units = \"m\"\nfolder")]));
+    experiment.configure(&config(&[("folder", "units = \"m\"\nfolder")]));
     let subject = preprocess(&experiment);
     assert!(subject.skipped.iter().any(|s| s.name == "millimetres" && s.problem.contains("subject.units")));
     assert!(stamp("anna") > before);
