@@ -48,11 +48,11 @@ pub fn scan(
     rng: &mut ChaCha8Rng,
 ) -> Result<Scanned> {
     let posed = person.body.forward(&person.subject.posed(pose))?;
-    let skin = TriMesh { vertices: posed.vertices, faces: person.body.describe().faces.clone() };
+    // Neither skin nor cloth is faceted.
+    let skin = mesh::rounded(&posed.vertices, &person.body.describe().faces);
     // Body first, then garments from inside out.
     let mut layers = vec![(skin, Label::Body)];
     for (garment, shape) in person.garments.iter().zip(&worn.shapes).rev() {
-        // Cloth is not faceted.
         let cloth = mesh::rounded(shape, &garment.mesh.faces);
         for (layer, _) in &mut layers {
             give_way(layer, &cloth)?;
@@ -123,9 +123,9 @@ struct Paint<'a> {
     normals: Vec<Vec<Vec3>>,
     /// Vertices of each layer in the T-pose [m]: where patterns lie.
     rest: Vec<Vec<Vec3>>,
-    /// Body vertices with hair, and with shoes.
-    hair: Vec<bool>,
-    shoes: Vec<bool>,
+    /// Which share of a vertex of the body has hair on it, and a shoe [1].
+    hair: Vec<f64>,
+    shoes: Vec<f64>,
     texture: Texture,
 }
 
@@ -163,8 +163,10 @@ impl<'a> Paint<'a> {
             named(v, &["head", "jaw"]) && p.y > 0.55 * (crown - head.y) + 0.9 * p.z.min(0.1)
         });
         let shoes = (0..count).map(|v| named(v, &["ankle", "foot"]));
-        let (hair, shoes) = (hair.collect(), shoes.collect());
-        let mut rest = vec![body_rest.mesh.vertices];
+        let dressed: Vec<Vec3> = hair.zip(shoes).map(|(h, s)| Vec3::new(f64::from(h), f64::from(s), 0.0)).collect();
+        let dressed = TriMesh { vertices: dressed, faces: body_rest.mesh.faces.clone() }.subdivided().vertices;
+        let (hair, shoes) = dressed.iter().map(|d| (d.x, d.y)).unzip();
+        let mut rest = vec![body_rest.mesh.subdivided().vertices];
         rest.extend(person.templates.iter().rev().map(|t| t.mesh.subdivided().vertices));
         let normals = layers.iter().map(|(m, _)| mesh::vertex_normals(&m.vertices, &m.faces)).collect();
         Ok(Self { layers, normals, rest, hair, shoes, texture })
@@ -176,8 +178,7 @@ impl<'a> Paint<'a> {
         let face = surface.faces[origin.face as usize].map(|v| v as usize);
         let mixed =
             |values: &[Vec3]| -> Vec3 { face.iter().zip(&origin.barycentric).map(|(&v, w)| values[v] * *w).sum() };
-        let share =
-            |of: &[bool]| -> f64 { face.iter().zip(&origin.barycentric).filter(|(v, _)| of[**v]).map(|b| b.1).sum() };
+        let share = |of: &[f64]| -> f64 { face.iter().zip(&origin.barycentric).map(|(&v, w)| of[v] * w).sum() };
         let patterned = self.texture == Texture::Patterned;
         let at = mixed(&self.rest[part]);
         let stripe = |x: f64| usize::from(x.rem_euclid(PERIOD) < 0.5 * PERIOD);

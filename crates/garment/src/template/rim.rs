@@ -7,9 +7,6 @@ use caphy_core::query::nearest_on_line;
 /// those of a garment make them polygons. Both are smoothed alike.
 pub(super) const STEP: f64 = 3e-3;
 const SMOOTH: f64 = 0.01;
-/// Nearer to the end of a piece than so many σ it is less smooth, and longer for it.
-const UNEVEN: f64 = 1.0;
-
 /// A piece of an edge of a garment as a scan shows it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rim {
@@ -74,12 +71,6 @@ impl Rim {
         });
         let (off, place, way) = places.min_by(|a, b| a.0.norm_squared().total_cmp(&b.0.norm_squared()))?;
         Some((off, place, way.try_normalize(0.0)?))
-    }
-    /// An open one without what lies near its ends and was smoothed less there; `None` where nothing is left.
-    pub(super) fn inner(&self) -> Option<Rim> {
-        let cut = if self.closed { 0 } else { (UNEVEN * SMOOTH / STEP).ceil() as usize };
-        let points = self.points.get(cut..self.points.len().checked_sub(cut)?)?;
-        (points.len() > 1).then(|| Rim { points: points.to_vec(), closed: self.closed })
     }
     /// How far from its first point along it the place nearest to a point is [m].
     fn along(&self, p: &Vec3) -> f64 {
@@ -159,9 +150,5 @@ pub(super) mod tests {
         assert_eq!(ring.beside(&arc([0.09; 2], 0.0, ALL, Vec3::zeros())), whole);
         let open = arc([0.1; 2], 0.0, [0.0, 2.0], Vec3::zeros());
         assert!((open.beside(&arc([0.1; 2], 0.0, [0.5, 3.0], Vec3::zeros())) - 0.15).abs() < 1e-4);
-        // What is smoothed less goes: about 1 cm at either end.
-        let inner = open.smoothed().inner().unwrap();
-        assert!((open.length() - inner.length() - 0.024).abs() < 3e-3, "{}", inner.length());
-        assert!(Rim { points: open.points[..1].to_vec(), closed: false }.inner().is_none());
     }
 }
