@@ -9,7 +9,7 @@ use caphy_bodymodel::BodyMannequin;
 use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_core::query::NearestSurface;
 use caphy_core::scan::{Label, Scan};
-use caphy_core::{TriMesh, Vec3};
+use caphy_core::{TriMesh, Vec3, mesh};
 use caphy_formats::ply::read_ply;
 use caphy_garment::solver::Outcome;
 use caphy_render::capture::LARGEST_ERROR;
@@ -29,17 +29,15 @@ fn scan(folder: &Path, name: &str) -> Scan {
     read_ply(&path, &std::fs::read(&path).expect("a scan")).unwrap_or_else(|e| panic!("{e}"))
 }
 
-/// The true surfaces of a scan: body, then garments, upper first.
+/// The true surfaces of a scan, round as they are scanned: body, then garments, upper first.
 fn surfaces(truth: &Truth, scan: usize) -> Vec<(Label, TriMesh)> {
     let body = BodyMannequin { resolution: 0.03 }.generate().expect("the body of TINY");
     let mut subject = BodyParameters { displacement: truth.displacement.clone(), ..body.rest(&truth.shape) };
     subject = subject.posed(&truth.poses[scan]);
-    let skin =
-        TriMesh { vertices: body.forward(&subject).expect("posed").vertices, faces: body.describe().faces.clone() };
+    let skin = mesh::rounded(&body.forward(&subject).expect("posed").vertices, &body.describe().faces);
     let mut all = vec![(Label::Body, skin)];
     for (garment, label) in truth.garments.iter().zip([Label::Upper, Label::Lower]) {
-        let cloth = TriMesh { vertices: garment.at_rest[scan].clone(), faces: garment.template.faces.clone() };
-        all.push((label, cloth));
+        all.push((label, mesh::rounded(&garment.at_rest[scan], &garment.template.faces)));
     }
     all
 }
