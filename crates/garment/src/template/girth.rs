@@ -72,14 +72,14 @@ pub(super) fn girths(template: &Template, worn: &[Vec<Vec3>], seen: &[Seen<'_>])
             let seen: f64 = joined[k].iter().map(|piece| smooth[k].beside(piece)).sum();
             (seen / smooth[k].length() - 1.0).abs() < WHOLE
         };
+        let whole = |k: usize| {
+            let size = all_around(k).then(|| similar(&smooth[k], &points(&joined[k]))).flatten();
+            size.filter(|s| s.1 < SHAPE).map(|s| s.0)
+        };
         let said = |k: usize| Said {
             taut: worn[k].length() >= TAUT * rest[k],
             size: similar(&smooth[k], &points(&pieces[k])).map(|s| s.0),
-            whole: if all_around(k) {
-                similar(&smooth[k], &points(&joined[k])).filter(|s| s.1 < SHAPE).map(|s| s.0)
-            } else {
-                None
-            },
+            whole: whole(k),
         };
         (0..worn.len()).map(said).collect()
     };
