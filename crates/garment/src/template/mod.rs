@@ -24,6 +24,7 @@ mod shape;
 mod source;
 mod style;
 mod surface;
+mod ways;
 
 pub use choose::{Chamfer, Choice, ChooseOptions, choose_template, hung_like, pose_by_nearest_vertex, pose_by_weights};
 pub use ease::ease;
