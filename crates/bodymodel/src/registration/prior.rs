@@ -52,7 +52,8 @@ pub(super) fn joint_priors(body: &BodyDescription) -> Vec<JointPrior> {
                 "shoulder" => (Group::Limb, [0.3, 1.0, 1.2], None),
                 // Forearm forwards only.
                 "elbow" => (Group::Limb, [0.25, 1.2, 0.15], Some((1, -side))),
-                "collar" => (Group::Limb, [0.1, 0.2, 0.2], None),
+                // A stiffer one keeps shoulders where they are while arms move: shoulders then come out too narrow, and arms too long.
+                "collar" => (Group::Limb, [0.1, 0.2, 0.4], None),
                 "spine1" | "spine2" | "spine3" => (Group::Limb, [0.25, 0.15, 0.15], None),
                 "neck" => (Group::Limb, [0.25, 0.25, 0.2], None),
                 "head" => (Group::End, [0.3, 0.3, 0.2], None),

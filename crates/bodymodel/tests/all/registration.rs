@@ -2,6 +2,7 @@
 
 mod figure;
 
+use caphy_bodymodel::BodyMannequin;
 use caphy_bodymodel::registration::{RegistrationScan, RegistrationSettings, ScanStart, register, register_from};
 use caphy_core::body::{BodyModel, BodyParameters};
 use caphy_core::pose::Pose;
@@ -251,6 +252,45 @@ fn cloth_bounds_and_does_not_attract() {
     let e = joint_errors(&figure, (&fit.shape, &fit.poses[0]), (&[0.0, 0.0], &truth));
     assert!(e[e.len() / 2] < 0.015, "{e:?}");
     assert!(fit.report[0].inside_share > 0.97 && fit.report[0].cloth_depth_mm > 12.0, "{:?}", fit.report);
+}
+
+/// Shoulders under cloth are found by what moves them: were collars stiff, they would come out too narrow, and arms too long.
+#[test]
+fn hidden_shoulders_keep_their_width_while_collars_move() {
+    let body = BodyMannequin { resolution: 0.026 }.generate().unwrap();
+    let d = body.describe();
+    let joint = |name: &str| d.joint(name).unwrap();
+    let hidden = ["pelvis", "spine", "collar", "shoulder", "hip"];
+    let scans: Vec<(Pose, LabelledPoints)> = [(-14.0, -60.0), (-10.0, -45.0), (-5.0, -30.0), (0.0, -10.0), (6.0, 10.0)]
+        .map(|(collar, shoulder): (f64, f64)| {
+            let mut pose = Pose::rest(d.joints.len());
+            for (side, sign) in [("left", 1.0), ("right", -1.0)] {
+                pose.rotations[joint(&format!("{side}_collar"))].z = sign * collar.to_radians();
+                pose.rotations[joint(&format!("{side}_shoulder"))].z = sign * shoulder.to_radians();
+                pose.rotations[joint(&format!("{side}_elbow"))].y = -sign * 0.3;
+            }
+            let posed = body.forward(&BodyParameters::rest(d.joints.len(), &[]).posed(&pose)).unwrap();
+            let label = |v: usize| {
+                let main = d.weights.row(v).max_by(|a, b| a.1.total_cmp(&b.1)).unwrap().0;
+                let covered = hidden.iter().any(|h| d.joints[main].name.contains(h));
+                if covered { Label::Ignore } else { Label::Body }
+            };
+            let normals = mesh::vertex_normals(&posed.vertices, &d.faces);
+            let labels = (0..posed.vertices.len()).map(label).collect();
+            (pose, LabelledPoints { points: posed.vertices, normals, labels })
+        })
+        .into();
+    let inputs: Vec<RegistrationScan<'_>> =
+        scans.iter().map(|s| RegistrationScan { name: "skin", points: &s.1, start: None }).collect();
+    let shape = vec![0.0; RegistrationSettings::default().shape_coefficients];
+    let starts: Vec<ScanStart> = scans.iter().map(|s| ScanStart { pose: s.0.clone(), shape: shape.clone() }).collect();
+    let fit = register_from(&body, &inputs, &starts, &RegistrationSettings::default(), &|_| {}).unwrap();
+    let width = |shape: &[f64]| {
+        let rest = body.forward(&BodyParameters::rest(d.joints.len(), shape)).unwrap();
+        (rest.joints[joint("left_shoulder")] - rest.joints[joint("right_shoulder")]).norm()
+    };
+    let narrower = width(&shape) - width(&fit.shape);
+    assert!(narrower.abs() < 1.5e-3, "{narrower}");
 }
 
 #[test]

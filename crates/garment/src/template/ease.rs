@@ -32,7 +32,7 @@ const ROUNDS: usize = 4;
 /// differs by less. Folds of several scans are other ones each time.
 const WORTH_IT: f64 = 0.17;
 /// After a round that takes away less than this share there is no other.
-const LITTLE: f64 = 0.01;
+const LITTLE: f64 = 0.05;
 /// What one scan says beyond so many times the typical deviation counts less, which is no less than this [m]: a fold, a hand.
 const APART: f64 = 2.0;
 const TYPICAL: f64 = 1e-3;
