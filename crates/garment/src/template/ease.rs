@@ -76,7 +76,7 @@ pub fn ease(
     };
     let start = residuals(&now.worn, &now.template.mesh.faces)?;
     let (mut cost, mut near) = (cost_of(&start, OTHERS), near_cost_of(&start, OTHERS));
-    let worth_it = WORTH_IT / (standing.max(1) as f64).sqrt();
+    let worth_it = WORTH_IT / (seen.len().max(1) as f64).sqrt();
     let mut widths = true;
     for _ in 0..ROUNDS {
         // In other poses arms and folds hide one side of sleeves more than the other: edges are seen all the same.
