@@ -1,6 +1,6 @@
 //! Facts about a template, for reports.
 
-use super::ways::shortest;
+use super::ways::Lengths;
 use super::{GarmentKind, GivenFacts, NamedLoop, Style, Template};
 use caphy_core::TriMesh;
 use rayon::prelude::*;
@@ -50,7 +50,7 @@ pub struct LengthFacts {
     pub from: String,
     /// Second loop.
     pub to: String,
-    /// Length [m], straight across triangles: three ten-thousandths longer than the true one at most.
+    /// Length [m], straight across triangles: some ten-thousandths longer than the true one.
     pub length_m: f64,
 }
 
@@ -163,10 +163,11 @@ impl Template {
         let pairs: Vec<[&NamedLoop; 2]> = (0..self.loops.len())
             .flat_map(|i| self.loops[i + 1..].iter().map(move |to| [&self.loops[i], to]))
             .collect();
+        let lengths = Lengths::new(&self.mesh);
         let length = |&[from, to]: &[&NamedLoop; 2]| LengthFacts {
             from: from.name.clone(),
             to: to.name.clone(),
-            length_m: shortest(&self.mesh, &from.vertices, &to.vertices),
+            length_m: lengths.between(&from.vertices, &to.vertices),
         };
         pairs.par_iter().map(length).collect()
     }

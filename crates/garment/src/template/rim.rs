@@ -7,6 +7,7 @@ use caphy_core::query::nearest_on_line;
 /// those of a garment make them polygons. Both are smoothed alike.
 pub(super) const STEP: f64 = 3e-3;
 const SMOOTH: f64 = 0.01;
+
 /// A piece of an edge of a garment as a scan shows it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rim {

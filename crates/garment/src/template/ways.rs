@@ -16,20 +16,30 @@ const MANY: usize = 40;
 const ROUNDS: usize = 8;
 const GAIN: f64 = 1e-4;
 
-/// Length of the shortest way on a mesh from one loop of vertices to another [m]; infinite where there is none.
-pub(super) fn shortest(mesh: &TriMesh, from: &[u32], to: &[u32]) -> f64 {
-    let Some(mut way) = Ways::new(mesh, 0..mesh.faces.len() as u32, FEW).shortest(from, to) else {
-        return f64::INFINITY;
-    };
-    for _ in 0..ROUNDS {
-        let Some(next) = Ways::new(mesh, around(mesh, &way.faces), MANY).shortest(from, to) else { break };
-        let gained = way.length - next.length;
-        way = next;
-        if gained < GAIN * way.length {
-            break;
-        }
+/// A mesh on which ways between loops of vertices are looked for.
+pub(super) struct Lengths<'a> {
+    mesh: &'a TriMesh,
+    rough: Ways,
+}
+
+impl<'a> Lengths<'a> {
+    pub(super) fn new(mesh: &'a TriMesh) -> Self {
+        Self { mesh, rough: Ways::new(mesh, 0..mesh.faces.len() as u32, FEW) }
     }
-    way.length
+    /// Length of the shortest way from one loop to another [m]; infinite where there is none.
+    pub(super) fn between(&self, from: &[u32], to: &[u32]) -> f64 {
+        let Some(mut way) = self.rough.shortest(from, to) else { return f64::INFINITY };
+        for _ in 0..ROUNDS {
+            let near = Ways::new(self.mesh, around(self.mesh, &way.faces), MANY);
+            let Some(next) = near.shortest(from, to) else { break };
+            let gained = way.length - next.length;
+            way = next;
+            if gained < GAIN * way.length {
+                break;
+            }
+        }
+        way.length
+    }
 }
 
 /// Triangles within two rings of some.
@@ -164,12 +174,13 @@ mod tests {
     #[test]
     fn ways_on_irregular_triangles_are_straight() {
         let (mesh, at) = sheet(0.3);
+        let lengths = Lengths::new(&mesh);
         for (from, to) in [((0, 0), (25, 15)), ((0, 0), (25, 4)), ((3, 2), (9, 15)), ((0, 15), (20, 1))] {
             let [a, b] = [from, to].map(|(i, j)| at(i, j));
             let straight = (mesh.vertices[a as usize] - mesh.vertices[b as usize]).norm();
-            let found = shortest(&mesh, &[a], &[b]);
+            let found = lengths.between(&[a], &[b]);
             assert!(found >= straight - 1e-12 && found < 1.0003 * straight, "{found} {straight}");
-            let rough = Ways::new(&mesh, 0..mesh.faces.len() as u32, FEW).shortest(&[a], &[b]).unwrap();
+            let rough = lengths.rough.shortest(&[a], &[b]).unwrap();
             assert!(rough.length < 1.006 * straight, "{} {straight}", rough.length);
         }
     }
@@ -181,12 +192,13 @@ mod tests {
             vertices: vec![Vec3::zeros(), Vec3::x(), Vec3::y(), Vec3::new(1.0, 1.0, 0.0)],
             faces: vec![[0, 1, 2], [1, 3, 2]],
         };
-        let to_diagonal = shortest(&mesh, &[0], &[1, 2]);
+        let lengths = Lengths::new(&mesh);
+        let to_diagonal = lengths.between(&[0], &[1, 2]);
         let off = (0.5f64.sqrt()).hypot(0.5 * 2f64.sqrt() / (MANY + 1) as f64);
         assert!((to_diagonal - off).abs() < 1e-12, "{to_diagonal} {off}");
         // Across the diagonal, and along one side.
-        assert!((shortest(&mesh, &[0], &[3]) - off - off).abs() < 1e-12 && shortest(&mesh, &[0], &[0, 1]) == 0.0);
+        assert!((lengths.between(&[0], &[3]) - off - off).abs() < 1e-12 && lengths.between(&[0], &[0, 1]) == 0.0);
         let apart = TriMesh { vertices: mesh.vertices.repeat(2), faces: vec![[0, 1, 2], [4, 5, 6]] };
-        assert_eq!(shortest(&apart, &[0], &[4, 5]), f64::INFINITY);
+        assert_eq!(Lengths::new(&apart).between(&[0], &[4, 5]), f64::INFINITY);
     }
 }
